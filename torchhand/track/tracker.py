@@ -257,7 +257,9 @@ class Tracker:
         views = self._worked_on(views)
         if foreseen is None:
             looks = state.appearance or self.parts.segmentation.initial_appearances(views)
-            scene = replace(self.parts.segmentation.scene(views, looks, time_s), expected=expected_before)
+            pose = None if predicted is None else self.parts.motion.pose(predicted)
+            scene = self.parts.segmentation.scene(views, looks, time_s, pose, state.shape)
+            scene = replace(scene, expected=expected_before)
         else:
             looks, scene = foreseen.appearance, foreseen.scene(views, time_s, expected_before)
         scene = self._observed(scene)
@@ -376,7 +378,8 @@ class Tracker:
             looks, scene = self._last
             if looks is state.appearance and scene.time_s == time_s and all(map(is_same_view, scene.views, own)):
                 return scene
-        return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s))
+        pose = None if state.hand is None else self.parts.motion.pose(state.hand)
+        return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s, pose, state.shape))
 
     @torch.inference_mode()
     @single_threaded()

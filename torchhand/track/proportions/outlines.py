@@ -65,7 +65,10 @@ class OutlineShape:
         if not frames or before is None:
             return state
         fit = replace(self.fit, shape=before)
-        scenes = [self.segmentation.scene((self._whole(one),), state.appearance, one.time_s) for one in frames]
+        scenes = [
+            self.segmentation.scene((self._whole(one),), state.appearance, one.time_s, one.pose, before)
+            for one in frames
+        ]
         seen = [fit.seen(scene, one.pose) for scene, one in zip(scenes, frames, strict=True)]
         found = fitted_shape(fit, [one for one in seen if one is not None], self.overconfidence)
         is_last, shape, cov = len(frames) >= self.count, before, state.shape_keypoints_cov

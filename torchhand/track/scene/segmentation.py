@@ -31,8 +31,15 @@ class Segmentation(Protocol):
         """Appearances that pictures tell without any hand being known; empty where they tell nothing."""
         ...
 
-    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
-        """The views of one time with their silhouettes."""
+    def scene(
+        self,
+        views: Sequence[View],
+        appearances: Appearances,
+        time_s: float,
+        pose: HandPose | None = None,
+        shape: Float[Tensor, "shape"] | None = None,
+    ) -> Scene:
+        """The views of one time with their silhouettes. pose (), shape: of the hand that is expected then, if any."""
         ...
 
     def learned(
@@ -53,15 +60,26 @@ class ColourSegmentation:
         """No appearances: colours are learned with the first hand."""
         return ()
 
-    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
+    def scene(
+        self,
+        views: Sequence[View],
+        appearances: Appearances,
+        time_s: float,
+        pose: HandPose | None = None,
+        shape: Float[Tensor, "shape"] | None = None,
+    ) -> Scene:
         """The views as a scene. Without appearances nothing is told of the silhouette: the search for a hand makes its
-        own."""
+        own. What is cut out about keypoints is cut out about those of the expected hand where none are detected."""
         [view] = views
         probability, known = None, appearances[0] if appearances else None
         if isinstance(known, Appearance) and view.image is not None:
             probability = known.probability(view.image)
-        elif isinstance(known, CutAtKeypoints) and view.image is not None and view.keypoints is not None:
-            probability = known.probability(view.image, view.keypoints.points_px)
+        elif isinstance(known, CutAtKeypoints) and view.image is not None:
+            points = None if view.keypoints is None else view.keypoints.points_px
+            if points is None and pose is not None and shape is not None:
+                hand = self.kinematics(pose.dofs, shape, root_reference=pose.reference)
+                points = self.camera.project(hand.keypoints)
+            probability = None if points is None else known.probability(view.image, points)
         return Scene(views=(view,), masks=(view.mask,), probabilities=(probability,), time_s=time_s)
 
     def learned(
@@ -89,8 +107,15 @@ class RigSegmentation:
         learned = self.silhouettes.learn([view.image for view in views], [None] * len(views))
         return tuple(learned) if any(learned) else ()
 
-    def scene(self, views: Sequence[View], appearances: Appearances, time_s: float) -> Scene:
-        """A view's given silhouette is preferred to one by its picture."""
+    def scene(
+        self,
+        views: Sequence[View],
+        appearances: Appearances,
+        time_s: float,
+        pose: HandPose | None = None,
+        shape: Float[Tensor, "shape"] | None = None,
+    ) -> Scene:
+        """A view's given silhouette is preferred to one by its picture; the hand that is expected does not count."""
         skins = [one if isinstance(one, LearnedSkin) else None for one in appearances] or [None] * len(views)
         given = self.silhouettes.undistorted([view.mask for view in views])
         images = [view.image if mask is None else None for view, mask in zip(views, given, strict=True)]
