@@ -780,7 +780,7 @@ class Tracker:
             return None
         if proposed.candidate is not None and self.parts.takes_proposals:
             return self._with_agreements(proposed.candidate, scene, shape)
-        if proposed.appearance is not None:  # the first hand: the scene has been segmented without its colours
+        if proposed.appearance is not None:  # the scene has been segmented otherwise
             scene = self._observed(self.parts.segmentation.scene(scene.views, (proposed.appearance,), scene.time_s))
         begun = self.parts.rule.begin(proposed.pose, proposed.covariance, scene, shape)
         return self._with_agreements(begun, scene, shape)
@@ -830,14 +830,11 @@ class Tracker:
         self, state: TrackerState, proposed: Proposed | None, best: Candidate, scene: Scene, *, is_new: bool
     ) -> TrackerState:
         health, here = self.parts.health, self.parts.health.score(best)
+        if proposed is not None and proposed.appearance is not None:
+            state = replace(state, appearance=(proposed.appearance,))
         if proposed is not None and not state.has_started:
-            look = () if proposed.appearance is None else (proposed.appearance,)
-            state = replace(
-                state,
-                shape=state.shape if proposed.shape is None else proposed.shape,
-                appearance=look or state.appearance,
-                posture=proposed.pose.dofs,
-            )
+            shape = state.shape if proposed.shape is None else proposed.shape
+            state = replace(state, shape=shape, posture=proposed.pose.dofs)
         usual = here if is_new and health.settings.memory == 1 else health.usual(best, state.usual_score)
         state = replace(
             state,

@@ -3,7 +3,7 @@
 from torchhand.fit.detect.alignment import Alignment, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings
 from torchhand.fit.detect.facing import facing_rotation, turned_in_picture
-from torchhand.fit.detect.keypoint_cut import CutAtKeypoints
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, are_colours_shared, cut_at_keypoints
 from torchhand.fit.detect.start import (
     ContourFitter,
     NoStart,
@@ -27,6 +27,8 @@ __all__ = [
     "Start",
     "StartPoints",
     "align_posture",
+    "are_colours_shared",
+    "cut_at_keypoints",
     "facing_rotation",
     "find_hand",
     "fit_overlap",

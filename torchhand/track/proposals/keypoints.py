@@ -7,7 +7,17 @@ from typing import ClassVar
 
 from torch import Tensor
 
-from torchhand.fit.detect import ContourFitter, NoStart, Start, start_at_keypoints, start_at_pose
+from torchhand.fit import Appearance
+from torchhand.fit.detect import (
+    ContourFitter,
+    CutAtKeypoints,
+    NoStart,
+    Start,
+    are_colours_shared,
+    cut_at_keypoints,
+    start_at_keypoints,
+    start_at_pose,
+)
 from torchhand.fit.keypoints import KeypointSettings
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose
@@ -18,8 +28,8 @@ from torchhand.track.scene import Candidate, Scene, detected_hand
 _SLANT = 0.6  # radians between bones and the picture's plane up to which an outline tells their length: cos is 0.83
 _TOLD_BY_COLOURS = 0.92  # overlap with what has the hand's colours at which nothing else is tried
 _SHARED_COLOURS = 0.08
-"""By how much a graph cut's overlap is larger where other things have the hand's colours: 0.15 to 0.27 before a clutter
-with skin's, at most 0.05 on the other recordings, real and simulated, in the best placement of either."""
+"""By how much the overlap of a hand with what is cut out about its points is larger than with its colours where others
+share these: 0.08 to 0.4 before a clutter with skin's."""
 _FLEXIONS = [i for i, name in enumerate(DOFS) if name.endswith(("mcp_fe", "pip_fe", "dip_fe"))]
 
 
@@ -58,11 +68,13 @@ class KeypointStart:
     """Intersection over union with what has its colours, below which any better cut is believed; 0 to 1."""
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
-        """At most one hand; none once there was one."""
+        """At most one hand; once there was one, only where its colours turn out to be shared, and a search is due."""
         image = scene.views[0].image
-        if state.has_started or image is None:
+        if image is None:
             return Proposals()
         own = self.fitter
+        if state.has_started:
+            return self._cut_anew(image, scene, state)
         pose = detected_hand(scene, (own.camera,), own.kinematics, self.settings, own.shape)
         if pose is None:
             return Proposals()
@@ -73,6 +85,24 @@ class KeypointStart:
         proposed = Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance)
         return Proposals(hands=(proposed,), has_foreground=True)
 
+    def _cut_anew(self, image: Tensor, scene: Scene, state: TrackerState) -> Proposals:
+        """A hand that was followed by its colours, cut out about the points."""
+        probability, keypoints, shape = scene.probabilities[0], scene.views[0].keypoints, state.shape
+        by_colours = isinstance(state.appearance[0], Appearance) if state.appearance else False
+        is_due = state.frames_since_search == 0 or state.frames_since_search >= state.search_after
+        if not (is_due and by_colours) or probability is None or keypoints is None or shape is None:
+            return Proposals()
+        mask = cut_at_keypoints(image, keypoints.points_px)
+        if mask is None or not are_colours_shared(probability, mask, keypoints.points_px):
+            return Proposals()
+        own = replace(self.fitter, shape=shape, fit_shape=False)
+        pose = detected_hand(scene, (own.camera,), own.kinematics, self.settings, shape)
+        start = None if pose is None else start_at_keypoints(image, keypoints.points_px, pose, own)
+        if not isinstance(start, Start):
+            return Proposals()
+        fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
+        return Proposals(hands=(Proposed(pose=fitted, appearance=start.appearance),), has_foreground=True)
+
     def _start(self, image: Tensor, scene: Scene, pose: HandPose) -> Start | NoStart:
         """By colours, learned at the hand as the points place it or as a graph cut about these does; by such cuts where
         they tell it so much better that the colours must be those of other things too."""
@@ -81,11 +111,23 @@ class KeypointStart:
         if keypoints is None or _overlap(by_colours) >= _TOLD_BY_COLOURS:
             return by_colours
         by_points = start_at_keypoints(image, keypoints.points_px, pose, own)
-        if isinstance(by_points, Start):
-            placed = HandPose.of(by_points.fit.pose, by_points.fit.root_reference)
-            by_colours = max(by_colours, start_at_pose(image, placed, own), key=_overlap)
-        margin = _SHARED_COLOURS if _overlap(by_colours) >= self.min_overlap else 0.0
-        return by_points if _overlap(by_points) > _overlap(by_colours) + margin else by_colours
+        if isinstance(by_points, NoStart):
+            return by_colours
+        placed = HandPose.of(by_points.fit.pose, by_points.fit.root_reference)
+        by_colours = max(by_colours, start_at_pose(image, placed, own), key=_overlap)
+        if isinstance(by_colours, NoStart) or by_colours.overlap < self.min_overlap:
+            return max(by_colours, by_points, key=_overlap)
+        is_better = by_points.overlap > by_colours.overlap + _SHARED_COLOURS
+        return by_points if is_better and _is_shared(by_colours, by_points, image, keypoints.points_px) else by_colours
+
+
+def _is_shared(by_colours: Start, by_points: Start, image: Tensor, points_px: Tensor) -> bool:
+    """Whether the colours of a hand do not tell it from its surroundings, which a cut about its points does."""
+    own, cut = by_colours.appearance, by_points.appearance
+    assert isinstance(own, Appearance)
+    assert isinstance(cut, CutAtKeypoints)
+    mask = cut.probability(image, points_px)
+    return mask is not None and are_colours_shared(own.probability(image), mask > 0.5, points_px)
 
 
 def _overlap(start: Start | NoStart) -> float:
