@@ -9,6 +9,7 @@ from torch import Tensor
 
 from tests.steps import FRAME_S, right_hand
 from tests.studio import StagedHand
+from torchhand.fit.detect import CutAtKeypoints
 from torchhand.fit.keypoints import place_hand
 from torchhand.hand import DOFS, posture
 from torchhand.image import dilate, disc_kernel
@@ -178,6 +179,53 @@ def test_a_hand_that_colours_do_not_tell_is_followed_where_its_points_are(
         assert estimate.keypoints_px is not None
         assert float((estimate.keypoints_px[0] - one.keypoints_px).norm(dim=-1).mean()) < 4.0
     assert _steps(tracker, [replace(views[0], keypoints=None)])[0].status == "no_hand"
+
+
+def _before_bars(placed: StagedHand) -> Tensor:
+    """A picture of a hand before bars of its own colours, which reach beyond it."""
+    image, mask = placed.picture(seed=1), placed.mask
+    bars = torch.zeros_like(mask)
+    for row in placed.keypoints_px[[6, 2], 1].int().tolist():
+        bars[row - 8 : row + 8] = True
+    image[bars & ~mask] = image[mask].float().mean(0).to(torch.uint8)
+    return image
+
+
+@BY_NAME
+def test_a_hand_before_things_of_its_colours_is_cut_out_about_its_points(
+    studio: Any, settings: TrackerSettings
+) -> None:
+    """From the first picture on; in one without detection about where it is expected."""
+    placed = [studio.placed(size=0.6, at=(0.01 * i, 0.0)) for i in range(4)]
+    views = [View(image=_before_bars(one), keypoints=_detected(one, seed=i)) for i, one in enumerate(placed)]
+    views[2] = replace(views[2], keypoints=None)
+    tracker, state = Tracker(right_hand(), placed[0].camera, settings, shape=placed[0].shape), None
+    for frame, (view, one) in enumerate(zip(views, placed, strict=True)):
+        state, estimate = tracker.step(state, (view,), frame * FRAME_S)
+        assert estimate.status == "tracked"
+        assert isinstance(state.appearance[0], CutAtKeypoints)
+        assert estimate.overlap is not None
+        assert estimate.overlap > 0.8
+        assert estimate.keypoints_px is not None
+        assert float((estimate.keypoints_px[0] - one.keypoints_px).norm(dim=-1).mean()) < 6.0
+
+
+@BY_NAME
+def test_a_followed_hand_that_comes_before_things_of_its_colours_is_cut_out_from_then_on(
+    studio: Any, settings: TrackerSettings
+) -> None:
+    placed = studio.placed(size=0.6)
+    tracker, state, known = Tracker(right_hand(), placed.camera, settings, shape=placed.shape), None, []
+    images = [placed.picture(seed=1)] * 2 + [_before_bars(placed)] * 7
+    for frame, image in enumerate(images):
+        view = View(image=image, keypoints=_detected(placed, seed=frame))
+        state, estimate = tracker.step(state, (view,), frame * FRAME_S)
+        known.append(isinstance(state.appearance[0], CutAtKeypoints))
+    assert not any(known[:2])
+    assert known[-1]
+    assert estimate.status == "tracked"
+    assert estimate.keypoints_px is not None
+    assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 4.0
 
 
 @BY_NAME

@@ -6,7 +6,7 @@ import pytest
 import torch
 from torch import Tensor
 
-from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, are_colours_shared, cut_at_keypoints
 from torchhand.image import intersection_over_union
 
 
@@ -40,3 +40,28 @@ def test_keypoints_that_are_missing_or_elsewhere_tell_no_silhouette(studio: Any)
     for points in (missing, placed.keypoints_px + 5000.0):
         assert cut_at_keypoints(image, points) is None
         assert CutAtKeypoints().probability(image, points) is None
+
+
+def test_colours_are_shared_with_things_that_are_no_part_of_the_hand(studio: Any) -> None:
+    """Neither a forearm nor fingers that a cut about wrong points lacks are such things; colours that half of the hand
+    has tell it no better."""
+    placed = studio.placed(size=0.4, at=(0.0, 0.05))
+    hand, points = placed.mask, placed.keypoints_px
+    height, width = hand.shape
+    probability = hand.double()
+
+    def shared(row: int, column: int, cut: Tensor = hand) -> bool:
+        seen = probability.clone()
+        seen[row : row + 12, column : column + 12] = 1.0
+        return are_colours_shared(seen, cut, points)
+
+    assert not are_colours_shared(probability, hand, points)
+    assert shared(2, 2)
+    assert shared(2, width - 14)
+    assert not shared(height - 14, int(points[0, 0]))
+    without_tip = hand.clone()
+    without_tip[: int(points[12, 1]) + 15] = False
+    assert not are_colours_shared(probability, without_tip, points)
+    half = probability.clone()
+    half[:, : int(points[9, 0])] = 0.0
+    assert are_colours_shared(half, hand, points)
