@@ -58,6 +58,7 @@ _FASTEST_M_PER_S, _JUMP_M = 5.0, 0.2
 """How fast a hand moves at most, and how far off its place before a camera may be besides: what is found elsewhere once
 the hand is lost is another thing."""
 _NOMINAL_DT_S = 1 / 30  # time step that is assumed at the first frame
+_UNDETECTED_S = 0.5  # since a hand was detected, for which it is cut out where it is expected
 _FORESEEABLE_S = 0.1
 """Time over which a hand's motion foretells where it is. After longer ones the motion model is so unsure that edges
 near its contour tell little: from 0.2 s on `contour_planar` loses even a hand that keeps still."""
@@ -257,7 +258,7 @@ class Tracker:
         views = self._worked_on(views)
         if foreseen is None:
             looks = state.appearance or self.parts.segmentation.initial_appearances(views)
-            pose = None if predicted is None else self.parts.motion.pose(predicted)
+            pose = self._expected_pose(predicted, state, time_s)
             scene = self.parts.segmentation.scene(views, looks, time_s, pose, state.shape)
             scene = replace(scene, expected=expected_before)
         else:
@@ -268,6 +269,7 @@ class Tracker:
         state = replace(
             state,
             appearance=looks,
+            detected_s=state.detected_s if all(view.keypoints is None for view in views) else time_s,
             frames_since_search=state.frames_since_search + 1,
             frames_since_refit=state.frames_since_refit + 1,
             frames_since_alternatives=state.frames_since_alternatives + 1,
@@ -378,8 +380,15 @@ class Tracker:
             looks, scene = self._last
             if looks is state.appearance and scene.time_s == time_s and all(map(is_same_view, scene.views, own)):
                 return scene
-        pose = None if state.hand is None else self.parts.motion.pose(state.hand)
+        pose = self._expected_pose(state.hand, state, time_s)
         return self._observed(self.parts.segmentation.scene(own, state.appearance, time_s, pose, state.shape))
+
+    def _expected_pose(self, hand: FollowedHand | None, state: TrackerState, time_s: float) -> HandPose | None:
+        """Where a hand may be cut out in a picture in which no detector finds it; None where it was detected too long
+        ago: such cuts bear out any hand about which they are made."""
+        if hand is None or state.detected_s is None or abs(time_s - state.detected_s) > _UNDETECTED_S:
+            return None
+        return self.parts.motion.pose(hand)
 
     @torch.inference_mode()
     @single_threaded()

@@ -1,4 +1,5 @@
 from dataclasses import replace
+from typing import Any
 
 import pytest
 import torch
@@ -79,6 +80,42 @@ def test_views_that_are_missing_or_unknown_have_no_silhouette(cameras):
     assert skins[1] is None
     masks = makes([None, picture], skins)
     assert masks == [None, None]
+
+
+@pytest.mark.parametrize("has_lens", [False, True])
+def test_a_hand_before_things_of_its_skin_is_cut_out_about_its_points(studio: Any, has_lens: bool) -> None:
+    """In views whose pictures showed such things once; without points it is found by its skin as ever."""
+    camera = studio.camera(320, 240, lens=has_lens)
+    placed = studio.placed(size=0.5, camera=camera)
+    makes = ViewSilhouettes([camera])
+    [seen] = makes.undistorted([placed.mask])
+    points = placed.keypoints_px
+    points = makes.cameras[0].pixels_from_plane(camera.plane_from_pixels(points)) if has_lens else points
+    plain = placed.picture(seed=1)
+    clutter = plain.clone()
+    bar = torch.zeros_like(placed.mask)
+    row = int(placed.keypoints_px[6, 1])
+    bar[row - 12 : row + 12] = True
+    clutter[bar & ~placed.mask] = plain[placed.mask].float().mean(0).to(torch.uint8)
+
+    [apart] = makes.learn([plain], [None], [points])
+    assert apart is not None
+    assert not apart.is_shared
+    [shared] = makes.learn([clutter], [apart], [points])
+    assert shared is not None
+    assert shared.is_shared
+    ahead = torch.arange(240)[:, None] < placed.keypoints_px[0, 1]
+    [cut], [by_skin], [without] = (
+        makes([clutter], [one], [at])
+        for one, at in ((shared, points), (replace(shared, shared=0), points), (shared, None))
+    )
+    assert cut is not None
+    assert by_skin is not None
+    assert without is not None
+    assert torch.equal(without, by_skin)
+    assert seen is not None
+    assert _iou(cut & ahead, seen & ahead) > 0.8
+    assert _iou(by_skin & ahead, seen & ahead) < 0.7
 
 
 def test_difference_from_the_empty_scene(cameras):

@@ -67,6 +67,8 @@ class TrackerState:
 
     time_s: float | None = None
     """Time of the last frame; None before the first."""
+    detected_s: float | None = None
+    """Time of the last frame in which a detector found the hand; None before the first."""
     hand: FollowedHand | None = None
     """The hand that is followed; None while there is none."""
     shape: Float[Tensor, "shape"] | None = None

@@ -18,7 +18,7 @@ from torchhand.track.multiview.hand_initialization import HandInitialization, in
 from torchhand.track.multiview.proposer import HandProposer
 from torchhand.track.multiview.scale import resized_pose, resized_shape, rough_units, size_factor, unit_by_points
 from torchhand.track.multiview.settings import RigSettings
-from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes
+from torchhand.track.scene import LearnedSkin, RigSegmentation, Scene, View, ViewSilhouettes, points_of
 
 _SETTLED = 0.1  # agreement that a unit may lack in one frame to be asked about another
 
@@ -87,7 +87,8 @@ def _with_skins(
         return skins, chain(first, left)
     every = (*first, *left)
     for _, views in every:
-        skins = silhouettes.learn([view.image if view.mask is None else None for view in views], skins)
+        images = [view.image if view.mask is None else None for view in views]
+        skins = silhouettes.learn(images, skins, points_of(views))
     return skins, every
 
 

@@ -31,6 +31,7 @@ from torchhand.track.scene.segmentation import (
     ColourSegmentation,
     RigSegmentation,
     Segmentation,
+    points_of,
 )
 from torchhand.track.scene.silhouettes import Images, LearnedSkin, Masks, PackedMask, ViewSilhouettes
 from torchhand.track.scene.update_rule import UpdateRule
@@ -76,6 +77,7 @@ __all__ = [
     "lengths_to_end",
     "mean_overlap",
     "parts_of",
+    "points_of",
     "scene_keypoints",
     "seen_posture",
     "seen_presence",

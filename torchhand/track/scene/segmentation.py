@@ -104,7 +104,7 @@ class RigSegmentation:
         """The skin that stands out of every view's picture."""
         if self.silhouettes.settings.method != "skin":
             return ()
-        learned = self.silhouettes.learn([view.image for view in views], [None] * len(views))
+        learned = self.silhouettes.learn([view.image for view in views], [None] * len(views), points_of(views))
         return tuple(learned) if any(learned) else ()
 
     def scene(
@@ -119,7 +119,7 @@ class RigSegmentation:
         skins = [one if isinstance(one, LearnedSkin) else None for one in appearances] or [None] * len(views)
         given = self.silhouettes.undistorted([view.mask for view in views])
         images = [view.image if mask is None else None for view, mask in zip(views, given, strict=True)]
-        seen = self.silhouettes(images, skins)
+        seen = self.silhouettes(images, skins, points_of(views))
         masks = tuple(own if mask is None else mask for own, mask in zip(seen, given, strict=True))
         return Scene(views=tuple(views), masks=masks, probabilities=(None,) * len(views), time_s=time_s)
 
@@ -128,3 +128,8 @@ class RigSegmentation:
     ) -> Appearances:
         """Skin is learned before tracking begins and kept."""
         return appearances
+
+
+def points_of(views: Sequence[View]) -> list[Tensor | None]:
+    """Detected keypoints of every view; None where there are none."""
+    return [None if view.keypoints is None else view.keypoints.points_px for view in views]
