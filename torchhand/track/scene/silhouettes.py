@@ -26,8 +26,8 @@ from torchhand.numerics import single_threaded
 _MOST_JUDGED = 5
 """Pictures of a view in which its skin is judged: one with other things of this skin about the hand is enough."""
 _MORE = 0.15
-"""Of a hand's area: what its silhouette has beside it where its skin is shared. By this and by things elsewhere it is in
-ten of ten pictures before clutter, and in none of 144 of a real rig (`stereo_desk`) and simulated ones."""
+"""Of a hand's area: what its silhouette has beside it where its skin is shared. By this, and by things elsewhere, it is
+in ten of ten pictures before clutter, and in none of 144 of a real rig (`stereo_desk`) and of simulated ones."""
 _MIDDLE, _REACH = KEYPOINTS.index("middle_mcp"), 2.4  # reach of the hand's end from the wrist, lengths of the palm
 _DARKER = 0.2  # of the pictures have darker skin than is believed: one may be mistaken
 
