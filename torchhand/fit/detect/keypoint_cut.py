@@ -10,7 +10,7 @@ from torch import Tensor
 
 from torchhand.devices import on_host
 from torchhand.hand import KEYPOINTS
-from torchhand.image import clean, enlarged_mask, graph_cut
+from torchhand.image import clean, enlarged_mask, graph_cut, hand_region
 
 _SIDE_PX = 200  # of the reduced part of the picture that is cut, at most
 _AROUND = 0.6  # that part reaches so far beyond the keypoints; this and the next eight: lengths of the palm
@@ -78,17 +78,15 @@ def are_colours_shared(
     """Whether a hand's colours do not tell it from its surroundings, or do not tell all of it.
 
     probability: that a pixel has its colours. cut: the hand as it is cut out at its keypoints, in the picture. They are
-    shared where things ahead of the wrist have them that lie too far from the knuckles to be its fingers: it is
-    likely that others are behind the hand. A hand that the detector has otherwise than it is, with fingers where the
-    cut has none, has no such things.
+    shared where things ahead of the wrist have them that lie too far from the knuckles to be its fingers: others that
+    have them are likely to lie behind the hand. That cut and colours differ about the hand tells nothing: the
+    detector may have folded a finger that stretches.
     """
-    points, coloured = points_px.double().numpy(), clean(probability > 0.5)
-    area, reach_px = max(int(cut.sum()), 1), _REACH * _palm_length(points)
-    y, x = np.mgrid[: cut.shape[0], : cut.shape[1]]
-    along = points[9] - points[0]
-    is_ahead = (x - points[0, 0]) * along[0] + (y - points[0, 1]) * along[1] > 0
-    is_far = np.hypot(x - points[9, 0], y - points[9, 1]) > reach_px
-    elsewhere = coloured & torch.from_numpy(is_ahead & is_far)
+    points, coloured = points_px.double(), clean(probability > 0.5)
+    size, knuckle = (cut.shape[0], cut.shape[1]), points[KEYPOINTS.index("middle_mcp")]
+    area, reach_px = max(int(cut.sum()), 1), _REACH * _palm_length(points.numpy())
+    x, y = torch.arange(size[1]) - knuckle[0], (torch.arange(size[0]) - knuckle[1])[:, None]
+    elsewhere = coloured & hand_region(size, points[0], knuckle) & (x * x + y * y > reach_px**2)
     return int(elsewhere.sum()) > _ELSEWHERE * area or int((cut & ~coloured).sum()) > _LACKING * area
 
 
