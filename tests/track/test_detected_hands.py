@@ -229,6 +229,19 @@ def test_a_followed_hand_that_comes_before_things_of_its_colours_is_cut_out_from
 
 
 @BY_NAME
+def test_a_hand_whose_light_changes_is_followed_where_its_points_are(studio: Any, settings: TrackerSettings) -> None:
+    """Darker and bluer from one picture to the next."""
+    placed = studio.placed(size=0.8)
+    bright = placed.picture(seed=1)
+    dark = (bright * torch.tensor((0.36, 0.43, 0.56))).to(torch.uint8)
+    views = [View(image=one, keypoints=_detected(placed, seed=i)) for i, one in enumerate([bright] * 2 + [dark] * 3)]
+    estimates = _steps(Tracker(right_hand(), placed.camera, settings, shape=placed.shape), views)
+    assert estimates[-1].status == "tracked"
+    assert estimates[-1].keypoints_px is not None
+    assert float((estimates[-1].keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 4.0
+
+
+@BY_NAME
 def test_no_hand_is_looked_for_where_a_detector_finds_none(studio: Any, settings: TrackerSettings) -> None:
     """One that is followed is followed on, and one whose place is given is believed."""
     placed = studio.placed(size=0.8)
