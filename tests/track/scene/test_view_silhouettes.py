@@ -107,7 +107,7 @@ def test_a_hand_before_things_of_its_skin_is_cut_out_about_its_points(studio: An
     ahead = torch.arange(240)[:, None] < placed.keypoints_px[0, 1]
     [cut], [by_skin], [without] = (
         makes([clutter], [one], [at])
-        for one, at in ((shared, points), (replace(shared, shared=0), points), (shared, None))
+        for one, at in ((shared, points), (replace(shared, is_shared=False), points), (shared, None))
     )
     assert cut is not None
     assert by_skin is not None

@@ -12,7 +12,7 @@ from torchhand.fit.detect.start import (
     find_hand,
     fit_overlap,
     segment_hand,
-    start_at_keypoints,
+    start_at_cut,
     start_at_points,
     start_at_pose,
 )
@@ -33,7 +33,7 @@ __all__ = [
     "find_hand",
     "fit_overlap",
     "segment_hand",
-    "start_at_keypoints",
+    "start_at_cut",
     "start_at_points",
     "start_at_pose",
     "turned_in_picture",

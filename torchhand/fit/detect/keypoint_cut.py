@@ -21,8 +21,8 @@ _ARM_HALF, _ARM_LENGTH = 0.28, 0.4  # half the breadth of the forearm, and how m
 _REACH = 2.0  # from the middle knuckle no finger reaches farther, lengths of the palm
 _ELSEWHERE, _LACKING = 0.02, 0.2
 """Of a hand's area: what has its colours elsewhere, and what of it has not, by which these do not tell it. Before a
-clutter with skin's colours the first is 0.03 to 0.9, or the second 0.25; of 45 photographs of signs it is more in four,
-on simulated hands before rooms and walls never."""
+clutter with skin's colours the first is 0.03 to 0.9, or the second 0.2 to 0.3; of 45 photographs of signs the first is
+more in four, on simulated hands before rooms and walls hardly ever."""
 _PALM_OF_FINGERS, _PALM_OF_BREADTH = 0.5, 1.2  # a palm's length is that share of a chain of bones, and of its breadth
 _PALM = [KEYPOINTS.index(name) for name in ("wrist", "thumb_cmc", "index_mcp", "middle_mcp", "ring_mcp", "little_mcp")]
 _CHAINS = [[0, *range(first, first + 4)] for first in range(1, len(KEYPOINTS), 4)]
@@ -68,7 +68,7 @@ def cut_at_keypoints(
     cut = graph_cut(torch.from_numpy(part), likely, inside=inside, outside=~reach)
     whole = torch.zeros(height, width, dtype=torch.bool)
     whole[top:bottom, left:right] = enlarged_mask(cut, int(bottom - top), int(right - left))
-    return whole
+    return whole if bool(whole.any()) else None
 
 
 @on_host

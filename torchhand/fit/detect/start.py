@@ -14,7 +14,7 @@ from torchhand.fit import Appearance, disc, learn_appearance, mask_plane
 from torchhand.fit.contour import hand_length_px, is_in_picture
 from torchhand.fit.detect.alignment import Alignment, align_points, align_posture
 from torchhand.fit.detect.edge_fit import Fit, FitSettings, fit_contour, fit_contours
-from torchhand.fit.detect.keypoint_cut import CutAtKeypoints, cut_at_keypoints
+from torchhand.fit.detect.keypoint_cut import CutAtKeypoints
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, TIPS, HandKinematics, HandPose
 from torchhand.image import (
@@ -278,17 +278,12 @@ def start_at_pose(image: UInt8[Tensor, "height width 3"], pose: HandPose, fitter
 
 
 @on_host
-def start_at_keypoints(
-    image: UInt8[Tensor, "height width 3"], points_px: Float[Tensor, "21 2"], pose: HandPose, fitter: ContourFitter
-) -> Start | NoStart:
+def start_at_cut(mask: Bool[Tensor, "height width"], pose: HandPose, fitter: ContourFitter) -> Start:
     """Starts from a hand that is placed already, in the camera's frame, where a detector's keypoints are.
 
-    The silhouette is what a graph cut takes for the hand at these (`CutAtKeypoints`), whatever its colours are. A small
-    overlap is the caller's to judge.
+    mask: what is cut out about these (`cut_at_keypoints`), whatever its colours are. A small overlap is the caller's to
+    judge.
     """
-    mask = cut_at_keypoints(image, points_px)
-    if mask is None or not bool(mask.any()):
-        return NoStart(reason="the detected keypoints do not tell a silhouette", has_foreground=False)
     at = pose.normalized()
     placed = fitter.fitted(mask, Fit.of_start(at.dofs, at.reference, fitter.shape))
     return Start(fit=placed, appearance=CutAtKeypoints(), overlap=fitter.overlap(mask, placed))

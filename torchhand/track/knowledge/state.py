@@ -127,6 +127,11 @@ class TrackerState:
         """Whether the first hand had no finger bent much: which side it shows is then known from its outline."""
         return self.posture is not None and bool((self.posture[_BENDING] < _OPEN_BELOW).all())
 
+    @property
+    def is_search_due(self) -> bool:
+        """Whether a search was made at this time, or would be where the hand is in doubt."""
+        return self.frames_since_search == 0 or self.frames_since_search >= self.search_after
+
     def is_shape_due(self, counts: Iterable[int]) -> bool:
         """Whether the frames are as many as one of some counts, and the proportions are not fitted to so many yet."""
         count = len(self.shape_frames or ())

@@ -10,12 +10,11 @@ from torch import Tensor
 from torchhand.fit import Appearance
 from torchhand.fit.detect import (
     ContourFitter,
-    CutAtKeypoints,
     NoStart,
     Start,
     are_colours_shared,
     cut_at_keypoints,
-    start_at_keypoints,
+    start_at_cut,
     start_at_pose,
 )
 from torchhand.fit.keypoints import KeypointSettings
@@ -29,7 +28,7 @@ _SLANT = 0.6  # radians between bones and the picture's plane up to which an out
 _TOLD_BY_COLOURS = 0.92  # overlap with what has the hand's colours at which nothing else is tried
 _SHARED_COLOURS = 0.08
 """By how much the overlap of a hand with what is cut out about its points is larger than with its colours where others
-share these: 0.08 to 0.4 before a clutter with skin's."""
+share these: 0.08 to 0.46 in most pictures before a clutter with skin's."""
 _FLEXIONS = [i for i, name in enumerate(DOFS) if name.endswith(("mcp_fe", "pip_fe", "dip_fe"))]
 
 
@@ -89,17 +88,16 @@ class KeypointStart:
         """A hand that was followed by its colours, cut out about the points."""
         probability, keypoints, shape = scene.probabilities[0], scene.views[0].keypoints, state.shape
         by_colours = isinstance(state.appearance[0], Appearance) if state.appearance else False
-        is_due = state.frames_since_search == 0 or state.frames_since_search >= state.search_after
-        if not (is_due and by_colours) or probability is None or keypoints is None or shape is None:
+        if not (state.is_search_due and by_colours) or probability is None or keypoints is None or shape is None:
             return Proposals()
         mask = cut_at_keypoints(image, keypoints.points_px)
         if mask is None or not are_colours_shared(probability, mask, keypoints.points_px):
             return Proposals()
         own = replace(self.fitter, shape=shape, fit_shape=False)
         pose = detected_hand(scene, (own.camera,), own.kinematics, self.settings, shape)
-        start = None if pose is None else start_at_keypoints(image, keypoints.points_px, pose, own)
-        if not isinstance(start, Start):
+        if pose is None:
             return Proposals()
+        start = start_at_cut(mask, pose, own)
         fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
         return Proposals(hands=(Proposed(pose=fitted, appearance=start.appearance),), has_foreground=True)
 
@@ -110,24 +108,20 @@ class KeypointStart:
         by_colours = start_at_pose(image, pose, own)
         if keypoints is None or _overlap(by_colours) >= _TOLD_BY_COLOURS:
             return by_colours
-        by_points = start_at_keypoints(image, keypoints.points_px, pose, own)
-        if isinstance(by_points, NoStart):
+        mask = cut_at_keypoints(image, keypoints.points_px)
+        if mask is None:
             return by_colours
+        by_points = start_at_cut(mask, pose, own)
         placed = HandPose.of(by_points.fit.pose, by_points.fit.root_reference)
         by_colours = max(by_colours, start_at_pose(image, placed, own), key=_overlap)
         if isinstance(by_colours, NoStart) or by_colours.overlap < self.min_overlap:
             return max(by_colours, by_points, key=_overlap)
-        is_better = by_points.overlap > by_colours.overlap + _SHARED_COLOURS
-        return by_points if is_better and _is_shared(by_colours, by_points, image, keypoints.points_px) else by_colours
-
-
-def _is_shared(by_colours: Start, by_points: Start, image: Tensor, points_px: Tensor) -> bool:
-    """Whether the colours of a hand do not tell it from its surroundings, which a cut about its points does."""
-    own, cut = by_colours.appearance, by_points.appearance
-    assert isinstance(own, Appearance)
-    assert isinstance(cut, CutAtKeypoints)
-    mask = cut.probability(image, points_px)
-    return mask is not None and are_colours_shared(own.probability(image), mask > 0.5, points_px)
+        if by_points.overlap <= by_colours.overlap + _SHARED_COLOURS:
+            return by_colours
+        colours = by_colours.appearance
+        assert isinstance(colours, Appearance)
+        is_shared = are_colours_shared(colours.probability(image), mask, keypoints.points_px)
+        return by_points if is_shared else by_colours
 
 
 def _overlap(start: Start | NoStart) -> float:

@@ -60,8 +60,7 @@ class LearnedHands:
         """Some hands; none in frames in which no search was or is due."""
         image = scene.views[0].image
         may_propose = self.can_restart if state.has_started else self.can_start
-        is_due = state.frames_since_search == 0 or state.frames_since_search >= state.search_after
-        if image is None or not (is_due and may_propose):
+        if image is None or not (state.is_search_due and may_propose):
             return Proposals()
         mask = self._mask(scene, image, state)
         if float(mask.float().mean()) < _MIN_AREA or (best is None and solidity(mask) > _MAX_SOLIDITY):

@@ -68,13 +68,9 @@ class LearnedSkin:
     """Darkest brightness of skin in each picture that showed skin."""
     judged: int = 0
     """Pictures in which a detector told where the hand is."""
-    shared: int = 0
-    """Those in which this skin did not tell it from its surroundings (`are_colours_shared`)."""
-
-    @property
-    def is_shared(self) -> bool:
-        """Whether the hand is rather cut out about detected points, where there are any."""
-        return self.shared > 0
+    is_shared: bool = False
+    """Whether in one of them this skin did not tell it from its surroundings: it is cut out about detected points
+    rather, where there are any."""
 
 
 class ViewSilhouettes:
@@ -126,15 +122,15 @@ class ViewSilhouettes:
         return learned
 
     def _judged(self, view: int, image: Tensor, skin: LearnedSkin, points: Tensor | None) -> LearnedSkin:
-        cut = None if points is None or skin.judged >= _MOST_JUDGED else self._cut(view, image, points)
-        if cut is None or points is None:
+        if points is None or skin.is_shared or skin.judged >= _MOST_JUDGED:
             return skin
-        mask = self._undistorted(view, self._segmented(view, image, skin))
-        alike = self._undistorted(view, skin_probability(image, skin.model) > 0.5)
-        if mask is None or alike is None:
+        cut, maps = self._cut(view, image, points), self._maps[view]
+        mask = _undistorted(self._segmented(view, image, skin), maps)
+        alike = _undistorted(skin_probability(image, skin.model) > 0.5, maps)
+        if cut is None or mask is None or alike is None:
             return skin
         is_shared = _more_than(mask, cut, points) > _MORE and are_colours_shared(alike.double(), cut, points)
-        return replace(skin, judged=skin.judged + 1, shared=skin.shared + is_shared)
+        return replace(skin, judged=skin.judged + 1, is_shared=is_shared)
 
     def _cut(self, view: int, image: Tensor, points: Tensor) -> Tensor | None:
         maps = self._maps[view]
@@ -154,7 +150,8 @@ class ViewSilhouettes:
             own, cut = None if points is None else points[view], None
             if image is not None and own is not None and skin is not None and skin.is_shared:
                 cut = self._cut(view, image, own)
-            found.append(self._undistorted(view, self._segmented(view, image, skin)) if cut is None else cut)
+            seen = _undistorted(self._segmented(view, image, skin), self._maps[view]) if cut is None else cut
+            found.append(seen)
         return found
 
     def _segmented(self, view: int, image: Tensor | None, skin: LearnedSkin | None) -> Tensor | None:
@@ -165,11 +162,7 @@ class ViewSilhouettes:
 
     def undistorted(self, masks: Masks) -> list[Tensor | None]:
         """Masks as `cameras` would see them. What lies outside the picture is taken for what is at its edge."""
-        return [self._undistorted(view, mask) for view, mask in enumerate(masks)]
-
-    def _undistorted(self, view: int, mask: Tensor | None) -> Tensor | None:
-        maps = self._maps[view]
-        return mask if mask is None or maps is None else _remapped(mask, maps)
+        return [_undistorted(mask, maps) for mask, maps in zip(masks, self._maps, strict=True)]
 
 
 def _more_than(mask: Tensor, cut: Tensor, points: Tensor) -> float:
@@ -190,7 +183,9 @@ def _undistorting(camera: Camera) -> tuple[np.ndarray, np.ndarray]:
     return np.asarray(maps[0]), np.asarray(maps[1])
 
 
-def _remapped(mask: Tensor, maps: tuple[np.ndarray, np.ndarray]) -> Tensor:
+def _undistorted(mask: Tensor | None, maps: tuple[np.ndarray, np.ndarray] | None) -> Tensor | None:
+    if mask is None or maps is None:
+        return mask
     pixels = mask.cpu().numpy().view(np.uint8) * 255
     moved = cv2.remap(pixels, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
     return (torch.from_numpy(moved) > 127).to(mask.device)
