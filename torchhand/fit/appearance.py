@@ -9,6 +9,7 @@ from torch import Tensor
 
 from torchhand.image import (
     ColourModel,
+    Light,
     binomial_blur,
     disc_kernel,
     erode,
@@ -29,10 +30,12 @@ class Appearance:
     """Colours of the hand (and a bare forearm) against those of the rest."""
 
     colours: ColourModel
+    light: Light
+    """The light in which the colours are these, as it was when they were last learned."""
 
     def probability(self, image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
         """Probability that a pixel shows the hand, lightly smoothed."""
-        return binomial_blur(foreground_probability(image, self.colours))
+        return binomial_blur(foreground_probability(self.light.undone(image), self.colours))
 
 
 def grey(image: UInt8[Tensor, "height width 3"]) -> Float[Tensor, "height width"]:
@@ -53,7 +56,7 @@ def learn_appearance(
 ) -> Appearance | None:
     """Colour model of `hand` against `other`, both shrunk by a margin; None where one of them is nearly empty."""
     sets = _without_margin(hand, other, margin_px)
-    return None if sets is None else Appearance(colours=learn_colours(image, *sets))
+    return None if sets is None else Appearance(colours=learn_colours(image, *sets), light=Light.of(image))
 
 
 def relearned(
@@ -72,9 +75,11 @@ def relearned(
     from.
     """
     sets = _without_margin(model, ~(model | touching(probability > 0.5, model)), margin_px)
-    return (
-        appearance if sets is None else Appearance(colours=relearn_colours(appearance.colours, image, *sets, keep=keep))
-    )
+    if sets is None:
+        return appearance
+    light = appearance.light
+    colours = relearn_colours(appearance.colours, light.undone(image), *sets, keep=keep)
+    return Appearance(colours=colours, light=light.later(image))
 
 
 def _without_margin(hand: Tensor, other: Tensor, margin_px: int) -> tuple[Tensor, Tensor] | None:

@@ -18,6 +18,7 @@ from torchhand.image.segmentation.components import (
     touching,
 )
 from torchhand.image.segmentation.graph_cut import cut_along_edges, graph_cut
+from torchhand.image.segmentation.light import Light
 from torchhand.image.segmentation.silhouette import SilhouetteSettings, segment
 from torchhand.image.segmentation.skin import SkinModel, learn_skin, skin_probability
 from torchhand.image.segmentation.skin_candidates import skin_candidates
@@ -37,6 +38,7 @@ __all__ = [
     "ColourModel",
     "Component",
     "CrSplit",
+    "Light",
     "SilhouetteSettings",
     "SkinModel",
     "SkinStart",

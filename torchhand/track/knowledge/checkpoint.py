@@ -10,7 +10,7 @@ from torchhand.devices import HOST, sent_to
 from torchhand.fit import Appearance
 from torchhand.fit.detect import CutAtKeypoints
 from torchhand.hand import HandPose
-from torchhand.image import ColourModel, SkinModel
+from torchhand.image import ColourModel, Light, SkinModel
 from torchhand.numerics import Gaussian
 from torchhand.track.belief import FollowedHand
 from torchhand.track.knowledge.state import Keyframe, ShapeFrame, TrackerState
@@ -30,6 +30,7 @@ _RECORDS = {
         Gaussian,
         Appearance,
         ColourModel,
+        Light,
         LearnedSkin,
         CutAtKeypoints,
         SkinModel,

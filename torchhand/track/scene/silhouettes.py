@@ -14,6 +14,7 @@ from torchhand.geometry import Camera
 from torchhand.hand import KEYPOINTS
 from torchhand.image import (
     BackgroundPlate,
+    Light,
     SilhouetteSettings,
     SkinModel,
     bootstrap_skin,
@@ -64,6 +65,8 @@ class LearnedSkin:
 
     model: SkinModel
     separability: float
+    light: Light
+    """The light in which it is this skin."""
     dark_values: tuple[int, ...] = ()
     """Darkest brightness of skin in each picture that showed skin."""
     judged: int = 0
@@ -108,12 +111,13 @@ class ViewSilhouettes:
         for view, image in enumerate(images):
             if image is None or self.settings.method != "skin":
                 continue
-            start, old = bootstrap_skin(image), learned[view]
+            old = learned[view]
+            start = bootstrap_skin(image if old is None else old.light.undone(image))
             if not start.has_skin:
                 continue
             dark = (start.model.dark_value, *(() if old is None else old.dark_values))
             if old is None:
-                old = LearnedSkin(model=start.model, separability=start.separability)
+                old = LearnedSkin(model=start.model, separability=start.separability, light=Light.of(image))
             elif start.separability > old.separability:
                 old = replace(old, model=start.model, separability=start.separability)
             dark_value = sorted(dark)[int(_DARKER * len(dark))]
@@ -126,7 +130,7 @@ class ViewSilhouettes:
             return skin
         cut, maps = self._cut(view, image, points), self._maps[view]
         mask = _undistorted(self._segmented(view, image, skin), maps)
-        alike = _undistorted(skin_probability(image, skin.model) > 0.5, maps)
+        alike = _undistorted(skin_probability(skin.light.undone(image), skin.model) > 0.5, maps)
         if cut is None or mask is None or alike is None:
             return skin
         is_shared = _more_than(mask, cut, points) > _MORE and are_colours_shared(alike.double(), cut, points)
@@ -158,7 +162,9 @@ class ViewSilhouettes:
         if image is None or (self.settings.method == "skin" and skin is None):
             return None
         plate = None if self._plates is None else self._plates[view]
-        return segment(image, self.settings, skin=None if skin is None else skin.model, plate=plate)
+        if skin is None:
+            return segment(image, self.settings, plate=plate)
+        return segment(skin.light.undone(image), self.settings, skin=skin.model, plate=plate)
 
     def undistorted(self, masks: Masks) -> list[Tensor | None]:
         """Masks as `cameras` would see them. What lies outside the picture is taken for what is at its edge."""
