@@ -1,9 +1,11 @@
 """The light of a picture against that of an earlier one: gains found, other changes left alone."""
 
+import pytest
 import torch
 from torch import Tensor
 
 from torchhand.image import Light
+from torchhand.image.segmentation import light as light_module
 
 _GAINS = torch.tensor([0.4, 0.5, 0.6])
 
@@ -25,6 +27,14 @@ def test_another_light_is_told_and_undone_though_a_quarter_of_the_scene_changes(
     assert torch.allclose(light.gains_of(later), _GAINS, rtol=0.02)
     error = (light.undone(later).float() - scene.float()).abs()
     assert float(error[60:].max()) <= 5
+
+
+def test_devices_without_opencv_see_the_same_picture(monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = _scene()
+    later, light = _in_light(scene, _GAINS), Light.of(scene)
+    by_opencv = light.undone(later)
+    monkeypatch.setattr(light_module, "suits_opencv", lambda *_: False)
+    assert torch.equal(light.undone(later), by_opencv)
 
 
 def test_the_same_light_leaves_pictures_as_they_are() -> None:
