@@ -10,6 +10,7 @@ from torch import Tensor
 from torchhand.geometry.rotations import (
     cosine_between,
     left_jacobian,
+    ordered_product,
     rotation_from_columns,
     rotation_from_vector,
     skew,
@@ -89,6 +90,18 @@ def test_batches_equal_a_loop(batch: tuple[int, ...], generator: torch.Generator
     rotation = rotation_from_vector(vectors)
     expected = torch.stack([vector_from_rotation(r) for r in rotation.reshape(-1, 3, 3)]).reshape(*batch, 3)
     torch.testing.assert_close(vector_from_rotation(rotation), expected, atol=1e-15, rtol=1e-15)
+
+
+def test_one_hand_has_the_bits_that_it_has_in_a_batch(generator: torch.Generator) -> None:
+    """What a live stream says hand by hand is what a file says that was written at once."""
+    vectors = _vectors(generator)
+    points = torch.randn(len(vectors), 21, 3, generator=generator, dtype=torch.float64)
+    rotations = rotation_from_vector(vectors)
+    turned = ordered_product(points, rotations)
+    torch.testing.assert_close(turned, points @ rotations, atol=1e-14, rtol=1e-14)
+    for one, point, rotation, expected in zip(vectors, points, rotations, turned, strict=True):
+        assert torch.equal(rotation_from_vector(one), rotation)
+        assert torch.equal(ordered_product(point, rotation), expected)
 
 
 def test_float32_keeps_its_precision() -> None:

@@ -18,6 +18,15 @@ def skew(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:
     return torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).unflatten(-1, (3, 3))
 
 
+def ordered_product(
+    rows: Float[Tensor, "*batch n 3"], matrix: Float[Tensor, "*batch 3 c"]
+) -> Float[Tensor, "*batch n c"]:
+    """rows @ matrix, as single products and sums: the same bits for one as in a batch, and on every processor."""
+    x, y, z = rows[..., None].unbind(-2)
+    to_x, to_y, to_z = matrix[..., None, :, :].unbind(-2)
+    return x * to_x + y * to_y + z * to_z
+
+
 def exponential_coefficients(
     angle_squared: Float[Tensor, "*batch"],
 ) -> tuple[Float[Tensor, "*batch"], Float[Tensor, "*batch"], Float[Tensor, "*batch"]]:
@@ -62,9 +71,10 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     is_small, safe, angle = _safe_angle(squared)
     first = torch.where(is_small, 1 - squared / 6 * (1 - squared / 20), angle.sin() / angle)
     second = _second_coefficient(squared, is_small, safe, angle)
-    cross = skew(vector)
-    identity = torch.eye(3, dtype=vector.dtype, device=vector.device)
-    return identity + first[..., None, None] * cross + second[..., None, None] * (cross @ cross)
+    # I + first [v] + second [v]², of single products: the same bits for one as in a batch, and on every processor
+    cosine = (1 - second * squared)[..., None, None] * torch.eye(3, dtype=vector.dtype, device=vector.device)
+    products = (second[..., None] * vector)[..., None] * vector[..., None, :]
+    return cosine + products + skew(first[..., None] * vector)
 
 
 def _rotation_without_derivative(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*batch 3 3"]:

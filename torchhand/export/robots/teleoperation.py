@@ -17,7 +17,7 @@ from torch import Tensor
 
 from torchhand.export.clip import MotionClip
 from torchhand.files.disk import write_text
-from torchhand.geometry import continuous, quaternion_of_rotation, rotation_from_vector
+from torchhand.geometry import continuous, ordered_product, quaternion_of_rotation, rotation_from_vector
 from torchhand.hand import Side
 from torchhand.hand.conventions import mano_from_hand
 
@@ -51,7 +51,8 @@ def wrist_points(
     """
     rotation = rotation_from_vector(pose[..., 3:6]) @ _axes_from_hand(axes, side).to(pose).mT
     wrist = keypoints[..., :1, :]
-    return WristPoints(points=(keypoints - wrist) @ rotation, position=wrist.squeeze(-2), rotation=rotation)
+    points = ordered_product(keypoints - wrist, rotation)  # a stream's hand by hand are the bits of a file's batch
+    return WristPoints(points=points, position=wrist.squeeze(-2), rotation=rotation)
 
 
 def teleoperation_message(
