@@ -14,7 +14,7 @@ from torchhand.fit.observation import Equations, Explained, Observation, PosedHa
 from torchhand.fit.priors import ConstraintPrior, GaussianPrior
 from torchhand.fit.problem import Problem
 from torchhand.fit.schedule import Schedule, Stage
-from torchhand.fit.solve import Solutions, SolveStatus, covariance_of, solve
+from torchhand.fit.solve import Solutions, SolveStatus, _minimised, covariance_of, solve
 from torchhand.geometry import rotation_from_vector
 from torchhand.hand import DOFS, HandPose, PoseConstraints, PoseJacobian, named_pose_space
 from torchhand.hand.limits import clamp_to_limits
@@ -126,6 +126,25 @@ def test_one_hypothesis_never_touches_another(method: str, points: Points, gener
     whole = solve(problem(points, starts), starts, schedule)
     for index in range(6):
         alike(whole.select(index), solve(problem(points, starts[index]), starts[index], schedule))
+
+
+def test_angles_at_their_limits_stay_there_to_the_last_bit(points: Points, generator: torch.Generator) -> None:
+    """An angle that a step leads to its limit has a derivative in the next one, and can leave it again."""
+    starts = hands(generator, 40)
+    within, (lower, upper) = problem(points, starts), problem(points).bounds
+    stage = replace(SCHEDULE[0], method="gauss_newton")
+    values, reference = within.values_of(starts), starts.reference
+    count = 0
+    for _ in range(4):
+        here = within.associated(values, reference, stage)
+        first = here.here()
+        assert float(first.matrix.diagonal(dim1=-2, dim2=-1).min()) > 1e-3
+        values = _minimised(here, first, stage).values
+        is_near = ((values - lower).abs() < 1e-12) | ((values - upper).abs() < 1e-12)
+        assert bool(((values == lower) | (values == upper))[is_near].all())
+        count += int(is_near.sum())
+        values, reference = within.rebased(values, reference)
+    assert count > 100
 
 
 @pytest.mark.parametrize("at_once", [1, 4, 100])

@@ -23,6 +23,7 @@ from torchhand.numerics.least_squares import (
     LevenbergMarquardtSettings,
     NormalEquations,
     Status,
+    after_box_step,
     damped_box_step,
     gradient_descent,
     levenberg_marquardt,
@@ -247,7 +248,7 @@ def _one_step(here: Linearization, first: NormalEquations) -> LeastSquares:
     is_there = -0.5 * (first.gradient * step).sum(-1) <= _ARRIVED * first.cost
     status = torch.where(is_there, Status.CONVERGED.value, Status.STALLED.value)
     return LeastSquares(
-        values=torch.where(is_sound[:, None], values + step, values),
+        values=torch.where(is_sound[:, None], after_box_step(values, step, lower, upper), values),
         cost=first.cost,
         status=torch.where(is_sound, status, Status.FAILED.value),
         iterations=torch.ones(len(values), dtype=torch.long, device=values.device),
@@ -304,7 +305,8 @@ class _Evaluated:
         is_taken = (self.cost == first.cost) & self.cost.isfinite()
         step = torch.where(is_taken[:, None], found.values - here.values, 0.0)
         promised = torch.where(is_taken, -0.5 * (first.gradient * step).sum(-1), 0.0)
-        return replace(self, values=self.values + step, cost=self.cost - promised, misfit=self.misfit - promised)
+        values = torch.where(is_taken[:, None], found.values, self.values)
+        return replace(self, values=values, cost=self.cost - promised, misfit=self.misfit - promised)
 
     def or_better(self, other: "_Evaluated") -> "_Evaluated":
         """The cheaper of the two, hypothesis by hypothesis."""

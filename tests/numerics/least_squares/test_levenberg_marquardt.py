@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from torchhand import devices
-from torchhand.numerics.least_squares.box_step import damped_box_step
+from torchhand.numerics.least_squares.box_step import after_box_step, damped_box_step
 from torchhand.numerics.least_squares.levenberg_marquardt import levenberg_marquardt
 from torchhand.numerics.least_squares.records import LevenbergMarquardtSettings, NormalEquations, Status
 from torchhand.numerics.least_squares.robust import RobustLoss
@@ -290,6 +290,23 @@ def test_the_box_step_meets_the_optimality_conditions(generator: torch.Generator
     step, is_solved = damped_box_step(singular, torch.ones(1, 2, dtype=DOUBLE), torch.ones(1, dtype=DOUBLE), None, None)
     assert not bool(is_solved)
     assert float(step.abs().max()) == 0
+
+
+def test_a_step_to_a_bound_ends_on_it(generator: torch.Generator) -> None:
+    """Not a last bit beside it, where a variable counts as free, or as one that does not move."""
+    low, high = (
+        -torch.rand(500, 6, generator=generator, dtype=DOUBLE),
+        torch.rand(500, 6, generator=generator, dtype=DOUBLE),
+    )
+    values = low + (high - low) * torch.rand(500, 6, generator=generator, dtype=DOUBLE)
+    to_low, to_high = low - values, high - values
+    is_beside = (values + to_low != low) | (values + to_high != high)
+    assert 0.05 < float(is_beside.double().mean()) < 0.9
+    assert torch.equal(after_box_step(values, to_low, low, high), low)
+    assert torch.equal(after_box_step(values, to_high, low, high), high)
+    assert torch.equal(after_box_step(values, 0.5 * to_low, low, high), values + 0.5 * to_low)
+    unbounded = torch.full((6,), torch.inf, dtype=DOUBLE)
+    assert torch.equal(after_box_step(values, to_high, -unbounded, unbounded), values + to_high)
 
 
 def test_error_messages() -> None:

@@ -1,7 +1,7 @@
 """Damped, bounded, robust nonlinear least squares over many problems at once, and plain gradient descent."""
 
 from torchhand.numerics.least_squares.arrow import ArrowEquations, Eliminated
-from torchhand.numerics.least_squares.box_step import damped_box_step
+from torchhand.numerics.least_squares.box_step import after_box_step, damped_box_step
 from torchhand.numerics.least_squares.descent import DescentSettings, gradient_descent
 from torchhand.numerics.least_squares.levenberg_marquardt import levenberg_marquardt
 from torchhand.numerics.least_squares.records import (
@@ -22,6 +22,7 @@ __all__ = [
     "NormalEquations",
     "RobustLoss",
     "Status",
+    "after_box_step",
     "damped_box_step",
     "gradient_descent",
     "levenberg_marquardt",

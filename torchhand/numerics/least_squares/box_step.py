@@ -49,6 +49,18 @@ def damped_box_step(
     return step.clamp(room_below, room_above), is_solved
 
 
+def after_box_step(
+    values: Float[Tensor, "*batch n"],
+    step: Float[Tensor, "*batch n"],
+    low: Float[Tensor, "*#batch n"],
+    high: Float[Tensor, "*#batch n"],
+) -> Float[Tensor, "*batch n"]:
+    """Values after a step within their rooms. Those that the step leads to a bound lie on it: a sum that is rounded
+    would lie a last bit beside it, inside, where they are free to move, or outside."""
+    trial = torch.where(step <= low - values, low, values + step)
+    return torch.where(step >= high - values, high, trial).clamp(low, high)
+
+
 def flat_bounds(
     lower: Float[Tensor, "*#batch n"] | None, upper: Float[Tensor, "*#batch n"] | None, start: Float[Tensor, "*batch n"]
 ) -> tuple[Tensor | None, Tensor | None]:

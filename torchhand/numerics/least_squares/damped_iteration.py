@@ -7,7 +7,7 @@ from typing import Any
 import torch
 from torch import Tensor
 
-from torchhand.numerics.least_squares.box_step import damped_box_step
+from torchhand.numerics.least_squares.box_step import after_box_step, damped_box_step
 from torchhand.numerics.least_squares.records import LevenbergMarquardtSettings, NormalEquations, Status
 
 _ACCEPTED_FRACTION = 1e-4  # of the predicted decrease
@@ -86,7 +86,10 @@ class DampedIteration:
         arrived = self.is_open & (arrived | (self.cost <= settings.cost_floor))
         self.status = self.status.masked_fill(arrived, Status.CONVERGED.value)
         self.is_open = self.is_open & ~arrived & (self.damping <= settings.max_damping)
-        trial = self.values + step if self.low is None else (self.values + step).clamp(self.low, self.high)
+        if self.low is None or self.high is None:
+            trial = self.values + step
+        else:
+            trial = after_box_step(self.values, step, self.low, self.high)
         self.trial = torch.where((self.is_open & is_solved)[:, None], trial, self.values)
         self.promised = promised.masked_fill(~is_solved, torch.inf)
 
