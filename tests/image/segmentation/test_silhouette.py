@@ -47,6 +47,17 @@ def test_settings_decide_on_pieces_and_holes(generator: torch.Generator) -> None
     assert not bool(segment(image, SilhouetteSettings(max_hole_fraction=0.0), skin=skin)[82, 152])
 
 
+@pytest.mark.parametrize("gains", [(0.4, 0.42, 0.5), (1.35, 1.3, 1.25)])
+def test_a_plate_is_that_of_the_scene_in_any_light(generator: torch.Generator, gains: tuple[float, ...]) -> None:
+    """A camera that finds its exposure anew when a hand comes in changes all of the picture."""
+    image, truth = frame(generator)
+    empty = torch.tensor(SCREEN, dtype=torch.uint8).expand(1, 240, 320, 3).contiguous()
+    other = (image * torch.tensor(gains)).clamp(0, 255).to(torch.uint8)
+    settings = SilhouetteSettings(method="background", darkest_shadow=1.0)
+    mask = segment(other, settings, plate=learn_background(empty))
+    assert float((mask & truth).sum()) / float((mask | truth).sum()) > 0.98
+
+
 @pytest.mark.parametrize("method", ["skin", "background"])
 def test_large_pictures_are_worked_on_reduced(generator: torch.Generator, method: str) -> None:
     image, truth = frame(generator, (960, 1280))

@@ -12,6 +12,7 @@ from torch import Tensor
 from torchhand.image.operations import disc_kernel, opened
 from torchhand.image.segmentation.background import BackgroundPlate, background_mask, chroma_mask
 from torchhand.image.segmentation.components import clean, fill_holes, largest_component
+from torchhand.image.segmentation.light import Light
 from torchhand.image.segmentation.skin import SkinModel, hue_probability_u8, with_dark_u8
 
 _SHADED = 0.7  # of the least probability of skin: what is enough beside lit skin, of a hue that was hardly seen
@@ -106,8 +107,9 @@ def _foreground(
     if settings.method == "background":
         if plate is None:
             raise ValueError("segment by background needs plate=learn_background(frames of the empty scene)")
+        seen = Light.of(plate.colour).undone(image)  # a camera that finds its exposure anew changes all the picture
         return background_mask(
-            image, plate, threshold=settings.background_threshold, darkest_shadow=settings.darkest_shadow
+            seen, plate, threshold=settings.background_threshold, darkest_shadow=settings.darkest_shadow
         )
     if skin is None:
         raise ValueError("segment by skin needs skin=learn_skin(...) or bootstrap_skin(image).model")
