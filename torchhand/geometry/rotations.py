@@ -71,7 +71,7 @@ def rotation_from_vector(vector: Float[Tensor, "*batch 3"]) -> Float[Tensor, "*b
     is_small, safe, angle = _safe_angle(squared)
     first = torch.where(is_small, 1 - squared / 6 * (1 - squared / 20), angle.sin() / angle)
     second = _second_coefficient(squared, is_small, safe, angle)
-    # I + first [v] + second [v]², of single products: the same bits for one as in a batch, and on every processor
+    # I + first [v] + second [v]², of single products: the same bits for one as in a batch
     cosine = (1 - second * squared)[..., None, None] * torch.eye(3, dtype=vector.dtype, device=vector.device)
     products = (second[..., None] * vector)[..., None] * vector[..., None, :]
     return cosine + products + skew(first[..., None] * vector)

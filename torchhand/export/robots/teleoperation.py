@@ -51,7 +51,7 @@ def wrist_points(
     """
     rotation = rotation_from_vector(pose[..., 3:6]) @ _axes_from_hand(axes, side).to(pose).mT
     wrist = keypoints[..., :1, :]
-    points = ordered_product(keypoints - wrist, rotation)  # a stream's hand by hand are the bits of a file's batch
+    points = ordered_product(keypoints - wrist, rotation)  # hand by hand, as in a stream, the bits of a file's batch
     return WristPoints(points=points, position=wrist.squeeze(-2), rotation=rotation)
 
 
