@@ -113,3 +113,30 @@ def test_a_fist_laid_on_the_arm_at_the_pictures_border_is_none(studio: Any) -> N
     assert _is_found(_candidate(hand, hand.mask | arm & ~_below(hand, 0.6)))  # up to a sleeve
     assert _is_found(_candidate(hand, hand.mask | arm | further))  # to the other border
     assert not _is_found(_candidate(hand, hand.mask | arm))  # the hand is at the other end
+
+
+def _upper_arm(hand: StagedHand, *, elbow: float, bend_deg: float, breadth: float) -> Tensor:
+    """A bar from so many hand lengths beyond the wrist on, turned against the forearm."""
+    wrist, tip = hand.keypoints_px[0], hand.keypoints_px[12]
+    along = (wrist - tip) / (wrist - tip).norm()
+    angle = math.radians(bend_deg)
+    axis = torch.stack(
+        (
+            math.cos(angle) * along[0] - math.sin(angle) * along[1],
+            math.sin(angle) * along[0] + math.cos(angle) * along[1],
+        )
+    )
+    x, y = torch.arange(hand.camera.width), torch.arange(hand.camera.height)[:, None]
+    start = wrist + elbow * hand.length_px * along
+    on = (x - start[0]) * axis[0] + (y - start[1]) * axis[1]
+    aside = (x - start[0]) * axis[1] - (y - start[1]) * axis[0]
+    return (on >= 0) & (aside.abs() <= 0.5 * breadth * hand.length_px)
+
+
+@pytest.mark.parametrize("bend_deg", [-120.0, -80.0, 80.0, 120.0])
+def test_an_arm_may_bend_near_the_hand(bend_deg: float, studio: Any) -> None:
+    hand = studio.placed(camera=studio.camera(320, 256), size=0.45, at=(0.0, -0.12))
+    upper = _upper_arm(hand, elbow=0.5, bend_deg=bend_deg, breadth=0.38)
+    candidate = _candidate(hand, hand.mask | (_arm(hand) & ~_below(hand, 0.6)) | upper)
+    assert candidate.agreement.mean_beyond < 0.06
+    assert _is_found(candidate)

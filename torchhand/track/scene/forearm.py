@@ -21,6 +21,14 @@ _BREADTHS = (
 )  # of the wrist: a thin one from the side to a thick one from the front (ANSUR II)
 _THICKENINGS = (0.0, 0.25, 0.5)  # breadth gained per length towards the elbow; a cone from 0.33 to 0.55 in 1.3: 0.17
 _ENDS = (0.0, 0.1, 0.2, 0.3, 0.4, 0.5, math.inf)  # where a sleeve begins, hand lengths from the wrist
+_BENT_FROM = 0.04
+"""Area from which on the elbow is looked for: what of one in a hundred simulated right hands is no forearm."""
+_ELBOWS = (0.35, 0.45, 0.55)  # hand lengths from the wrist, where the forearm is seen shortened
+_BENT_DEG = (-145.0, -120.0, -95.0, 95.0, 120.0, 145.0)
+"""Of the upper arm to the forearm: it hangs beside the body, before which the hand is held."""
+_UPPER_BREADTHS, _UPPER_LENGTHS = (0.3, 0.42), (0.4, math.inf)
+"""Of the upper arm, until a sleeve. One of 0.54 would explain the palm of a hand on whose two fingers another one is
+laid."""
 _OFFSETS = (-0.08, 0.0, 0.08)  # of the wrist's middle across, hand lengths
 
 
@@ -40,9 +48,10 @@ def forearm_mismatch(
     picture. may_be_there: whether a forearm can be; else whatever is there is none.
 
     A forearm is a bar that begins at the wrist, as broad as a wrist can be, gets broader towards the elbow and ends
-    anywhere, for a sleeve may hide it: also at once. The palm of a larger hand, other fingers and a body are none.
+    anywhere, for a sleeve may hide it: also at once. Where the elbow is near in the picture, an upper arm begins there.
+    The palm of a larger hand, other fingers and a body are none.
     """
-    places, forearms = _forearms()
+    places, forearms = _places(), _forearms()
     along, across = towards_elbow.double().cpu(), towards_elbow.double().cpu().flip(0) * torch.tensor((1.0, -1.0))
     pixels = wrist_px.double().cpu() + length_px * (places[:, :1] * along + places[:, 1:] * across)
     x, y = pixels.round().long().unbind(-1)
@@ -55,21 +64,64 @@ def forearm_mismatch(
         return 0.0
     if not may_be_there:
         return float(seen.sum()) * _STEP**2
-    differing = seen.sum() + forearms @ (counts.to(forearms) - 2 * seen)  # a + b - 2 ab: the symmetric difference
+    weight = counts.to(forearms) - 2 * seen  # a + b - 2 ab: the symmetric difference
+    differing = seen.sum() + forearms @ weight
+    if float(differing.min()) * _STEP**2 > _BENT_FROM:
+        differing = torch.cat((differing, seen.sum() + _bent(weight)))
     return float(differing.min()) * _STEP**2
 
 
+def _bent(weight: Float[Tensor, "places"]) -> Float[Tensor, "arms"]:
+    """Sums of the weights of the places that bent arms cover: with every upper arm the forearm that fits best."""
+    forearms, uppers = _bent_arms()
+    fore = forearms @ weight
+    best = fore.argmin(1)
+    rest = weight * (1 - forearms[torch.arange(len(best)), best])
+    return (fore.gather(1, best[:, None]) + torch.einsum("eup,ep->eu", uppers, rest)).flatten()
+
+
 @lru_cache(maxsize=1)
-def _forearms() -> tuple[Float[Tensor, "places 2"], Float[Tensor, "forearms places"]]:
-    """Places along and across the arm, hand lengths from the wrist, and which of them each forearm covers (0 or 1)."""
+def _places() -> Float[Tensor, "places 2"]:
+    """Along and across the arm, hand lengths from the wrist."""
     along = torch.arange(0.5 * _STEP, _ALONG, _STEP, dtype=torch.float64)
     across = torch.arange(0.5 * _STEP - _ACROSS, _ACROSS, _STEP, dtype=torch.float64)
-    places = torch.cartesian_prod(along, across)
+    return torch.cartesian_prod(along, across)
+
+
+def _along_bar(turn_deg: float, offset: float) -> tuple[Tensor, Tensor]:
+    """Places along and across a forearm, turned and beside the wrist's middle."""
+    places, turn = _places(), math.radians(turn_deg)
+    u = places[:, 0] * math.cos(turn) + (places[:, 1] - offset) * math.sin(turn)
+    return u, (places[:, 1] - offset) * math.cos(turn) - places[:, 0] * math.sin(turn)
+
+
+@lru_cache(maxsize=1)
+def _forearms() -> Float[Tensor, "forearms places"]:
+    """Which places each forearm covers (0 or 1)."""
     found = []
     for turn, offset in itertools.product(_TURNS_DEG, _OFFSETS):
-        cosine, sine = math.cos(math.radians(turn)), math.sin(math.radians(turn))
-        u = places[:, 0] * cosine + (places[:, 1] - offset) * sine
-        v = (places[:, 1] - offset) * cosine - places[:, 0] * sine
+        u, v = _along_bar(turn, offset)
         for breadth, thickening, end in itertools.product(_BREADTHS, _THICKENINGS, _ENDS):
             found.append((v.abs() <= 0.5 * (breadth + thickening * u.clamp_min(0.0))) & (u <= end))
-    return places, torch.stack(found).unique(dim=0).float()
+    return torch.stack(found).unique(dim=0).float()
+
+
+@lru_cache(maxsize=1)
+def _bent_arms() -> tuple[Float[Tensor, "elbows forearms places"], Float[Tensor, "elbows uppers places"]]:
+    """Which places forearms as far as every elbow cover, and upper arms from there on (0 or 1)."""
+    forearms, uppers = [], []
+    for turn, offset, elbow in itertools.product(_TURNS_DEG, _OFFSETS, _ELBOWS):
+        u, v = _along_bar(turn, offset)
+        breadths = itertools.product(_BREADTHS, _THICKENINGS)
+        forearms.append(
+            torch.stack([(v.abs() <= 0.5 * (b + t * u.clamp_min(0.0))) & (u <= elbow) for b, t in breadths])
+        )
+        bars = []
+        for bend, breadth, length in itertools.product(_BENT_DEG, _UPPER_BREADTHS, _UPPER_LENGTHS):
+            angle = math.radians(bend)
+            on = (u - elbow) * math.cos(angle) + v * math.sin(angle)
+            aside = v * math.cos(angle) - (u - elbow) * math.sin(angle)
+            is_joint = on.square() + aside.square() <= (0.5 * breadth) ** 2
+            bars.append(is_joint | ((aside.abs() <= 0.5 * breadth) & (on >= 0) & (on <= length)))
+        uppers.append(torch.stack(bars))
+    return torch.stack(forearms).float(), torch.stack(uppers).float()

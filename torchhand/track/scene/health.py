@@ -16,7 +16,7 @@ from torchhand.track.scene.candidate import Candidate
 
 MAX_BEYOND = 0.08
 """Squares of the hand's length beyond the wrist that are no forearm. One in a hundred simulated right hands has more
-than 0.04 (status_rates.json), one in twenty photographs of hands with sleeves and bare forearms more than 0.074."""
+than 0.04 (status_rates.json); with straight arms alone one in twenty photographs of hands has more than 0.074."""
 ONE_PLACE_M = 0.1
 """Between the palms of two hands that are the same hand otherwise held, at most: half a hand's length."""
 _MIN_IN_VIEW = 0.35  # share of the contour's points inside the picture, below which there is too little to judge by
