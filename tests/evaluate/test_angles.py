@@ -6,13 +6,13 @@ import numpy as np
 import pytest
 
 from torchhand.evaluate.angles import (
-    FINGER_CHAINS,
     flexion_deg,
     proximal_turns_deg,
     proximal_turns_in_space_deg,
     without_offset,
     wrapped_deg,
 )
+from torchhand.hand import CHAINS
 
 
 def finger(angles_deg: list[float]) -> np.ndarray:
@@ -25,8 +25,8 @@ def finger(angles_deg: list[float]) -> np.ndarray:
 def test_known_angles_come_back_finger_by_finger() -> None:
     angles = np.array([[10.0, 20, 30], [0, 0, 0], [90, 100, 45], [1e-5, 179, 5], [60, 0, 90]])
     keypoints = np.zeros((21, 3))
-    for chain, values in zip(FINGER_CHAINS, angles, strict=True):
-        keypoints[chain] = finger(values.tolist())
+    for chain, values in zip(CHAINS, angles, strict=True):
+        keypoints[list(chain)] = finger(values.tolist())
     np.testing.assert_allclose(flexion_deg(keypoints), angles, atol=1e-10)
 
 

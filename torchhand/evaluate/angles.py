@@ -3,10 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from torchhand.hand import FINGERS
-
-FINGER_CHAINS = np.array([[0, *range(first, first + 4)] for first in (1, 5, 9, 13, 17)])
-"""Keypoints from the wrist to the tip of thumb, index, middle, ring and little finger."""
+from torchhand.hand import CHAINS, FINGERS
 
 FLEXIONS_OF_FINGERS = [[f"{finger}_{joint}_fe" for joint in ("mcp", "pip", "dip")] for finger in FINGERS[1:]]
 """The DOFs that bend the same joints of index, middle, ring and little finger."""
@@ -17,7 +14,7 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
 
     Unsigned, 0 for a straight joint, up to 180. A bone of length zero has no direction: NaN.
     """
-    chains = keypoints[..., FINGER_CHAINS, :]
+    chains = keypoints[..., np.array(CHAINS), :]
     bones = np.diff(chains, axis=-2)
     length = np.linalg.norm(bones, axis=-1, keepdims=True)
     directions = bones / np.where(length > 0, length, np.nan)
@@ -28,7 +25,7 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
     return np.degrees(2.0 * np.arctan2(difference, together))
 
 
-PROXIMAL = np.array([(first, first + 1) for first in (2, 5, 9, 13, 17)])
+PROXIMAL = np.array([chain[-4:-2] if digit else chain[-3:-1] for digit, chain in enumerate(CHAINS)])
 """Keypoints at the ends of the five proximal phalanges."""
 
 

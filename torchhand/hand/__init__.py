@@ -5,11 +5,13 @@ from torchhand.hand.hand import Hand, HandState
 from torchhand.hand.joint_centres import bone_directions, centre_covariance, centre_spread, scale_covariance
 from torchhand.hand.kinematics import (
     BONES,
+    CHAINS,
     DOFS,
     FINGERS,
     JOINT_DOFS,
     KEYPOINT_BONES,
     KEYPOINTS,
+    PALM,
     PARENTS,
     POSE_SPACES,
     POSTURES,
@@ -71,6 +73,7 @@ from torchhand.hand.skin_jacobian import skin_jacobian
 
 __all__ = [
     "BONES",
+    "CHAINS",
     "COMPONENTS",
     "CONE_BONES",
     "CONE_NAMES",
@@ -81,6 +84,7 @@ __all__ = [
     "KEYPOINTS",
     "KEYPOINT_BONES",
     "MEASURES",
+    "PALM",
     "PARENTS",
     "POSE_SPACES",
     "POSTURES",

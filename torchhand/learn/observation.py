@@ -6,14 +6,13 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.hand import KEYPOINTS
+from torchhand.hand import KEYPOINTS, PALM
 
 FEATURES = 3 * len(KEYPOINTS) + 1
 """Two coordinates and a flag for every point, and the logarithm of the hand's angular size."""
 MIN_SEEN = 6
 """Fewer points do not say how large a hand is in the picture and where it is."""
 
-_WRIST, _KNUCKLES = 0, (5, 9, 13, 17)
 _USUAL_SIZE = 0.1  # of the seen points on the image plane; makes its logarithm small
 _SMALLEST_SIZE = 1e-4
 _AHEAD = 1e-2  # smallest depth in the view of a point whose ray has z = 1
@@ -44,9 +43,9 @@ def observe(points_plane: Float[Tensor, "*batch 21 2"], seen: Bool[Tensor, "*bat
     ahead = torch.cat((_mean(points, weight), torch.ones_like(points[..., 0, :1])), -1)
     view_from_cam = _looking_at(ahead)
     turned = _seen_from(view_from_cam, points)
-    knuckles = list(_KNUCKLES)
-    up = _mean(turned[..., knuckles, :], weight[..., knuckles]) - turned[..., _WRIST, :]
-    is_known = seen[..., _WRIST] & seen[..., knuckles].any(-1) & (up.norm(dim=-1) > _SMALLEST_SIZE)
+    wrist, *knuckles = PALM
+    up = _mean(turned[..., knuckles, :], weight[..., knuckles]) - turned[..., wrist, :]
+    is_known = seen[..., wrist] & seen[..., knuckles].any(-1) & (up.norm(dim=-1) > _SMALLEST_SIZE)
     view_from_cam = _upright(torch.where(is_known[..., None], up, up.new_tensor((0.0, -1.0)))) @ view_from_cam
     turned = _seen_from(view_from_cam, points)
     centre = _mean(turned, weight)

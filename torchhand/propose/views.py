@@ -6,7 +6,8 @@ import torch
 from jaxtyping import Float, Int
 from torch import Tensor
 
-_PALM = (0, 5, 9, 13, 17)
+from torchhand.hand import PALM
+
 _AHEAD = 1e-3
 
 SIDE_PX = 48
@@ -58,4 +59,4 @@ def views_towards(
 
 def palm_middle(keypoints: Float[Tensor, "*batch 21 3"]) -> Float[Tensor, "*batch 3"]:
     """Mean of wrist and knuckles."""
-    return keypoints[..., list(_PALM), :].mean(-2)
+    return keypoints[..., list(PALM), :].mean(-2)

@@ -15,10 +15,10 @@ from torchhand.fit.keypoints.prior import (
     natural_posture,
     points_of_dofs,
 )
-from torchhand.fit.keypoints.start import PALM, palm_weight, rigid_placement, start_in_space
+from torchhand.fit.keypoints.start import palm_weight, rigid_placement, start_in_space
 from torchhand.fit.keypoints.views import other_ways, starts_in_picture, viewing_directions
 from torchhand.geometry import assumed_camera, rotation_from_vector
-from torchhand.hand import DOFS, HandKinematics, HandPose, Side, named_pose_space, posture
+from torchhand.hand import DOFS, PALM, HandKinematics, HandPose, Side, named_pose_space, posture
 
 DOUBLE = torch.float64
 

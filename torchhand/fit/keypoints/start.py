@@ -8,10 +8,8 @@ from torch import Tensor
 
 from torchhand.devices import constant_tensor
 from torchhand.geometry import rotation_from_vector
-from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, HandKinematics, HandPose
+from torchhand.hand import BONES, DOFS, FINGERS, JOINT_DOFS, KEYPOINTS, PALM, HandKinematics, HandPose
 
-PALM = (0, 5, 9, 13, 17)
-"""Wrist and knuckles: they move as one body but for the slight bend of the palm."""
 _IS_PALM = tuple(point in PALM for point in range(len(KEYPOINTS)))
 _ELSEWHERE = 1e-3  # weight of all other points, which tell the palm's orientation only where the palm does not
 _ROOT = len(DOFS) - len(JOINT_DOFS)

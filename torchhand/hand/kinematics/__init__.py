@@ -26,10 +26,12 @@ from torchhand.hand.kinematics.shape import TIP_DEPTH, ShapeSpace, bone_offsets,
 from torchhand.hand.kinematics.sided_skeleton import sided_skeleton
 from torchhand.hand.kinematics.skeleton import (
     BONES,
+    CHAINS,
     DOFS,
     FINGERS,
     JOINT_DOFS,
     KEYPOINTS,
+    PALM,
     PARENTS,
     ROOT_DOFS,
     TIPS,
@@ -38,6 +40,7 @@ from torchhand.hand.kinematics.skeleton import (
 
 __all__ = [
     "BONES",
+    "CHAINS",
     "DOFS",
     "FINGERS",
     "FREE_BONES",
@@ -46,6 +49,7 @@ __all__ = [
     "KEYPOINTS",
     "KEYPOINT_BONES",
     "LEVER_ENDS",
+    "PALM",
     "PARENTS",
     "POSE_SPACES",
     "POSTURES",

@@ -9,6 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.evaluate import aligned_errors, fit_similarity, flexion_deg
+from torchhand.hand import PALM
 
 FIGURES = {
     "placed_mm": "keypoints relative to the middle of the palm, mm",
@@ -18,7 +19,6 @@ FIGURES = {
 }
 """Errors, means over the pictures."""
 
-_PALM = [0, 5, 9, 13, 17]
 _MM = 1000.0
 
 
@@ -49,17 +49,17 @@ def proposal_figures(
     own, true = (points.detach().double().cpu().numpy() for points in (keypoints, truth))
     is_there = np.isfinite(own).all((1, 2, 3))
     kept = own[is_there]
-    hers = np.broadcast_to(true[is_there][:, None], kept.shape)
+    shown = np.broadcast_to(true[is_there][:, None], kept.shape)
     if not len(kept):
         nothing = dict.fromkeys(FIGURES, float("nan"))
         return ProposalFigures(pictures=len(own), top=nothing, best=nothing, within=0.0)
-    aligned = _MM * aligned_errors(kept, hers).mean(-1)
-    arms, her_arms = (points - points[..., _PALM, :].mean(-2, keepdims=True) for points in (kept, hers))
-    placed = _MM * np.linalg.norm(arms - her_arms, axis=-1).mean(-1)
-    turns = _rotation_deg(kept, hers)
+    aligned = _MM * aligned_errors(kept, shown).mean(-1)
+    arms, shown_arms = (points - points[..., list(PALM), :].mean(-2, keepdims=True) for points in (kept, shown))
+    placed = _MM * np.linalg.norm(arms - shown_arms, axis=-1).mean(-1)
+    turns = _rotation_deg(kept, shown)
     top = order[torch.from_numpy(is_there)].argmax(-1).numpy()
     rows = np.arange(len(kept))
-    difference = flexion_deg(kept) - flexion_deg(hers)
+    difference = flexion_deg(kept) - flexion_deg(shown)
     offset = difference[rows, top].mean(0) if len(kept) > 1 else 0.0
     flexion = np.abs(difference - offset).mean((-1, -2))
     found = {"placed_mm": placed, "rotation_deg": turns, "flexion_deg": flexion, "aligned_mm": aligned}
@@ -84,6 +84,6 @@ def figures_table(rows: Sequence[tuple[str, ProposalFigures]]) -> str:
 
 def _rotation_deg(own: np.ndarray, true: np.ndarray) -> np.ndarray:
     """Turn between the palms, wrist and knuckles taken as a rigid body, degrees."""
-    motion = fit_similarity(own[..., _PALM, :], true[..., _PALM, :], with_scale=True)
+    motion = fit_similarity(own[..., list(PALM), :], true[..., list(PALM), :], with_scale=True)
     trace = np.trace(motion.rotation, axis1=-2, axis2=-1)
     return np.degrees(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
