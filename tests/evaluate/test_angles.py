@@ -12,7 +12,7 @@ from torchhand.evaluate.angles import (
     without_offset,
     wrapped_deg,
 )
-from torchhand.hand import CHAINS
+from torchhand.hand import FINGER_CHAINS
 
 
 def finger(angles_deg: list[float]) -> np.ndarray:
@@ -25,7 +25,7 @@ def finger(angles_deg: list[float]) -> np.ndarray:
 def test_known_angles_come_back_finger_by_finger() -> None:
     angles = np.array([[10.0, 20, 30], [0, 0, 0], [90, 100, 45], [1e-5, 179, 5], [60, 0, 90]])
     keypoints = np.zeros((21, 3))
-    for chain, values in zip(CHAINS, angles, strict=True):
+    for chain, values in zip(FINGER_CHAINS, angles, strict=True):
         keypoints[list(chain)] = finger(values.tolist())
     np.testing.assert_allclose(flexion_deg(keypoints), angles, atol=1e-10)
 

@@ -3,7 +3,7 @@
 import numpy as np
 from jaxtyping import Float
 
-from torchhand.hand import CHAINS, FINGERS
+from torchhand.hand import FINGER_CHAINS, FINGERS, KNUCKLES
 
 FLEXIONS_OF_FINGERS = [[f"{finger}_{joint}_fe" for joint in ("mcp", "pip", "dip")] for finger in FINGERS[1:]]
 """The DOFs that bend the same joints of index, middle, ring and little finger."""
@@ -14,7 +14,7 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
 
     Unsigned, 0 for a straight joint, up to 180. A bone of length zero has no direction: NaN.
     """
-    chains = keypoints[..., np.array(CHAINS), :]
+    chains = keypoints[..., np.array(FINGER_CHAINS), :]
     bones = np.diff(chains, axis=-2)
     length = np.linalg.norm(bones, axis=-1, keepdims=True)
     directions = bones / np.where(length > 0, length, np.nan)
@@ -25,7 +25,7 @@ def flexion_deg(keypoints: Float[np.ndarray, "*batch 21 d"]) -> Float[np.ndarray
     return np.degrees(2.0 * np.arctan2(difference, together))
 
 
-PROXIMAL = np.array([chain[-4:-2] if digit else chain[-3:-1] for digit, chain in enumerate(CHAINS)])
+PROXIMAL = np.array([(knuckle, knuckle + 1) for knuckle in KNUCKLES])
 """Keypoints at the ends of the five proximal phalanges."""
 
 

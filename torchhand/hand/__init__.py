@@ -5,12 +5,13 @@ from torchhand.hand.hand import Hand, HandState
 from torchhand.hand.joint_centres import bone_directions, centre_covariance, centre_spread, scale_covariance
 from torchhand.hand.kinematics import (
     BONES,
-    CHAINS,
     DOFS,
+    FINGER_CHAINS,
     FINGERS,
     JOINT_DOFS,
     KEYPOINT_BONES,
     KEYPOINTS,
+    KNUCKLES,
     PALM,
     PARENTS,
     POSE_SPACES,
@@ -73,16 +74,17 @@ from torchhand.hand.skin_jacobian import skin_jacobian
 
 __all__ = [
     "BONES",
-    "CHAINS",
     "COMPONENTS",
     "CONE_BONES",
     "CONE_NAMES",
     "DOFS",
     "ELLIPSOID_NAMES",
     "FINGERS",
+    "FINGER_CHAINS",
     "JOINT_DOFS",
     "KEYPOINTS",
     "KEYPOINT_BONES",
+    "KNUCKLES",
     "MEASURES",
     "PALM",
     "PARENTS",

@@ -9,7 +9,7 @@ from jaxtyping import Bool, Float, UInt8
 from torch import Tensor
 
 from torchhand.devices import on_host
-from torchhand.hand import CHAINS, KEYPOINTS
+from torchhand.hand import FINGER_CHAINS, KEYPOINTS
 from torchhand.image import clean, enlarged_mask, graph_cut, hand_region
 
 _SIDE_PX = 200  # of the reduced part of the picture that is cut, at most
@@ -24,7 +24,7 @@ _ELSEWHERE, _LACKING = 0.02, 0.2
 clutter with skin's colours the first is 0.03 to 0.9, or the second 0.2 to 0.3; of 45 photographs of signs the first is
 more in four, on simulated hands before rooms and walls hardly ever."""
 _PALM_OF_FINGERS, _PALM_OF_BREADTH = 0.5, 1.2  # a palm's length is that share of a chain of bones, and of its breadth
-_PALM = [0, *(chain[1] for chain in CHAINS)]  # with the thumb's base
+_PALM = [0, *(chain[1] for chain in FINGER_CHAINS)]  # with the thumb's base
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,9 @@ def are_colours_shared(
 
 def _palm_length(points: np.ndarray) -> float:
     """Pixels from the wrist to the knuckles, as far as a hand that is seen askew tells it."""
-    chains = max(float(np.linalg.norm(np.diff(points[list(chain)], axis=0), axis=1).sum()) for chain in CHAINS[1:])
+    chains = max(
+        float(np.linalg.norm(np.diff(points[list(chain)], axis=0), axis=1).sum()) for chain in FINGER_CHAINS[1:]
+    )
     middle, breadth = np.linalg.norm(points[0] - points[9]), np.linalg.norm(points[5] - points[17])
     return max(float(middle), _PALM_OF_BREADTH * float(breadth), _PALM_OF_FINGERS * chains, 1.0)
 
@@ -106,7 +108,7 @@ def _drawn(
     rimmed = _widened(palm, _PALM_RIM * palm_px)
     bones = [rimmed, rimmed | arm]
     for drawn, share in zip(bones, (_INSIDE, _LIKELY), strict=True):
-        for chain in CHAINS:
+        for chain in FINGER_CHAINS:
             cv2.polylines(drawn, [_rounded(points[list(chain)])], False, 1, max(1, round(share * palm_px)))
     inside, likely = bones
     reach = _widened(likely, _BESIDE_FINGERS * palm_px) | _widened(palm | arm, _BESIDE_PALM * palm_px)

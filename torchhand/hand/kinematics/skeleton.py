@@ -45,11 +45,14 @@ KEYPOINTS = (
 TIPS = tuple(i for i, name in enumerate(KEYPOINTS) if name.endswith("_tip"))
 """Places of the fingertips among them."""
 
-CHAINS = tuple((0, *range(first, first + 4)) for first in range(1, len(KEYPOINTS), 4))
-"""Places of the wrist and the points of each digit, from base to tip."""
+FINGER_CHAINS = tuple((0, *range(first, first + 4)) for first in range(1, len(KEYPOINTS), 4))
+"""Places of the wrist and the points of thumb, index, middle, ring and little finger, from base to tip."""
 
-PALM = (0, *(chain[1] for chain in CHAINS[1:]))
-"""Places of the wrist and the fingers' knuckles, which move with the palm."""
+KNUCKLES = tuple(i for i, name in enumerate(KEYPOINTS) if name.endswith("_mcp"))
+"""Places of the metacarpophalangeal joints, the thumb's first."""
+
+PALM = (0, *KNUCKLES[1:])
+"""Places of the wrist and the fingers' knuckles: they move as one body but for the slight bend of the palm."""
 
 
 @dataclass(frozen=True, kw_only=True)

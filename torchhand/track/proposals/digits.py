@@ -11,13 +11,13 @@ from torch import Tensor
 
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
-from torchhand.hand import CHAINS, FINGERS, JOINT_DOFS, PALM, HandKinematics, HandPose, posture
+from torchhand.hand import FINGER_CHAINS, FINGERS, JOINT_DOFS, KNUCKLES, HandKinematics, HandPose, posture
 from torchhand.image import depth_map
 
 _BENDS = (0.5, 1.0)  # of the way to a fist, or to an open hand
 _BETWEEN = 4  # points that are looked at from one keypoint of a digit to the next
-_DIGITS = tuple(pair for chain in CHAINS for pair in itertools.pairwise(chain[1:]))
-_PALM = (*((0, chain[1]) for chain in CHAINS), (1, 2), (1, 5), (2, 5), *itertools.pairwise(PALM[1:]))
+_DIGITS = tuple(pair for chain in FINGER_CHAINS for pair in itertools.pairwise(chain[1:]))
+_PALM = (*((0, chain[1]) for chain in FINGER_CHAINS), (1, 2), (1, 5), (2, 5), *itertools.pairwise(KNUCKLES[1:]))
 _DIGIT_REACH, _PALM_REACH = 0.075, 0.12  # hand lengths from the bones, beyond which nothing is a hand's
 _THICK = 0.02  # hand lengths from its edge to the middle of what is as thick as a digit
 _STEP = 0.01  # hand lengths between the points of a silhouette that are looked at
@@ -25,7 +25,6 @@ _REGION = 1.3  # hand lengths from the wrist, towards the fingers
 _BEYOND_WRIST = 0.15  # hand lengths: an arm ends there
 _STEEP = 0.125  # a palm seen shorter than this, hand lengths, has no direction in the picture
 _NEAR = 0.5  # hand lengths from its first joint to what a digit may cover
-_KNUCKLES = (2, *PALM[1:])
 
 
 def outside(points_px: Float[Tensor, "*batch 21 2"], mask: Bool[Tensor, "height width"]) -> Float[Tensor, "*batch 5"]:
@@ -72,7 +71,7 @@ class PlacedDigits:
         left = self._inner[self._left_out[0]]
         if not len(left):
             return torch.zeros(len(FINGERS), dtype=torch.bool, device=left.device)
-        knuckles = self._points_px[0, list(_KNUCKLES)].float()
+        knuckles = self._points_px[0, list(KNUCKLES)].float()
         return torch.cdist(knuckles, left).amin(-1) < _NEAR * self._length_px
 
     @cached_property

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 
 import torch
@@ -88,39 +89,37 @@ def _places() -> Float[Tensor, "places 2"]:
     return torch.cartesian_prod(along, across)
 
 
-def _along_bar(turn_deg: float, offset: float) -> tuple[Tensor, Tensor]:
-    """Places along and across a forearm, turned and beside the wrist's middle."""
-    places, turn = _places(), math.radians(turn_deg)
-    u = places[:, 0] * math.cos(turn) + (places[:, 1] - offset) * math.sin(turn)
-    return u, (places[:, 1] - offset) * math.cos(turn) - places[:, 0] * math.sin(turn)
+def _turned(along: Tensor, across: Tensor, angle_deg: float) -> tuple[Tensor, Tensor]:
+    """Coordinates along and across a direction at an angle to another one, from those of that."""
+    angle = math.radians(angle_deg)
+    return along * math.cos(angle) + across * math.sin(angle), across * math.cos(angle) - along * math.sin(angle)
+
+
+def _bars(turn_deg: float, offset: float, ends: Sequence[float]) -> Bool[Tensor, "bars places"]:
+    """Which places forearms of every breadth cover that end somewhere; turned, and beside the wrist's middle."""
+    along, across = _places().unbind(-1)
+    u, v = _turned(along, across - offset, turn_deg)
+    kinds = itertools.product(_BREADTHS, _THICKENINGS, ends)
+    return torch.stack([(v.abs() <= 0.5 * (wide + more * u.clamp_min(0.0))) & (u <= end) for wide, more, end in kinds])
 
 
 @lru_cache(maxsize=1)
 def _forearms() -> Float[Tensor, "forearms places"]:
     """Which places each forearm covers (0 or 1)."""
-    found = []
-    for turn, offset in itertools.product(_TURNS_DEG, _OFFSETS):
-        u, v = _along_bar(turn, offset)
-        for breadth, thickening, end in itertools.product(_BREADTHS, _THICKENINGS, _ENDS):
-            found.append((v.abs() <= 0.5 * (breadth + thickening * u.clamp_min(0.0))) & (u <= end))
-    return torch.stack(found).unique(dim=0).float()
+    found = [_bars(turn, offset, _ENDS) for turn, offset in itertools.product(_TURNS_DEG, _OFFSETS)]
+    return torch.cat(found).unique(dim=0).float()
 
 
 @lru_cache(maxsize=1)
 def _bent_arms() -> tuple[Float[Tensor, "elbows forearms places"], Float[Tensor, "elbows uppers places"]]:
     """Which places forearms as far as every elbow cover, and upper arms from there on (0 or 1)."""
-    forearms, uppers = [], []
+    (along, across), forearms, uppers = _places().unbind(-1), [], []
     for turn, offset, elbow in itertools.product(_TURNS_DEG, _OFFSETS, _ELBOWS):
-        u, v = _along_bar(turn, offset)
-        breadths = itertools.product(_BREADTHS, _THICKENINGS)
-        forearms.append(
-            torch.stack([(v.abs() <= 0.5 * (b + t * u.clamp_min(0.0))) & (u <= elbow) for b, t in breadths])
-        )
+        forearms.append(_bars(turn, offset, (elbow,)))
+        u, v = _turned(along, across - offset, turn)
         bars = []
         for bend, breadth, length in itertools.product(_BENT_DEG, _UPPER_BREADTHS, _UPPER_LENGTHS):
-            angle = math.radians(bend)
-            on = (u - elbow) * math.cos(angle) + v * math.sin(angle)
-            aside = v * math.cos(angle) - (u - elbow) * math.sin(angle)
+            on, aside = _turned(u - elbow, v, bend)
             is_joint = on.square() + aside.square() <= (0.5 * breadth) ** 2
             bars.append(is_joint | ((aside.abs() <= 0.5 * breadth) & (on >= 0) & (on <= length)))
         uppers.append(torch.stack(bars))

@@ -11,11 +11,11 @@ from torchhand.devices import constant_tensor, kept
 from torchhand.fit import PosedHands, Stage
 from torchhand.fit.keypoints import KeypointSettings, PictureKeypoints, PostureKeypoints, keep_frames, place_hand
 from torchhand.geometry import Camera
-from torchhand.hand import CHAINS, FINGERS, JOINT_DOFS, HandFrames, HandKinematics, HandPose
+from torchhand.hand import FINGER_CHAINS, FINGERS, JOINT_DOFS, HandFrames, HandKinematics, HandPose
 from torchhand.track.scene.views import Scene
 
-_PALM = (0, *(chain[1] for chain in CHAINS))  # with the thumb's base
-_DIGITS = tuple(chain[2:] for chain in CHAINS)
+_PALM = (0, *(chain[1] for chain in FINGER_CHAINS))  # with the thumb's base
+_DIGITS = tuple(chain[2:] for chain in FINGER_CHAINS)
 """Keypoints beyond the palm, digit by digit."""
 _COMPARED = Stage(gross_m=0.01)
 _CREDIBLE = 2.2  # root mean square deviation of a part's three or four measurements: one in a thousand (χ²) by chance
