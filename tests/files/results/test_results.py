@@ -395,6 +395,27 @@ def test_an_error_before_the_first_frame_leaves_everything_as_it_was(tmp_path: P
     assert UNFINISHED_NAME not in _files(old)
 
 
+def test_an_error_before_the_first_frame_keeps_an_interrupted_attempt(tmp_path: Path):
+    out = tmp_path / "out"
+    _run(out, 12)
+    with pytest.raises(_Stop):
+        _run(out, 20, stop_after=9, overwrite=True)
+    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
+
+    def failing() -> None:
+        with TrackWriter(out, _header(), overwrite=True) as writer:
+            (writer.folder / "config.yaml").write_text("settings")
+            raise InputError("no such port")
+
+    for _ in range(2):
+        with pytest.raises(InputError, match="no such port"):
+            failing()
+        assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
+    _run(out, 20, resume=True)
+    assert load_track(out).frame.tolist() == list(range(2, 21))
+    assert UNFINISHED_NAME not in _files(out)
+
+
 def test_overwriting_with_nothing_keeps_the_old_result(tmp_path: Path):
     _run(tmp_path / "out", 12)
     with TrackWriter(tmp_path / "out", _header(), overwrite=True):

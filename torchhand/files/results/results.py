@@ -12,7 +12,7 @@ from typing import Any
 from torchhand.errors import InputError
 from torchhand.files.disk import LineFile, explained_errors, read_lines, replacing, short
 from torchhand.files.results.checkpoint import ResumePoint, State, load_checkpoint, save_checkpoint
-from torchhand.files.results.replacement import finish_replacement, replace_result
+from torchhand.files.results.replacement import finish_replacement, remove_entry, replace_result
 from torchhand.files.results.track_file import (
     HEADER_NAME,
     JSONL_NAME,
@@ -50,6 +50,8 @@ TRACK_NAMES = (
     *(CHECKPOINT_NAME, DETECTIONS_NAME, FORWARD_NAME, BACKWARD_NAME),
     *(HEADER_NAME, JSONL_NAME, NPZ_NAME),
 )
+_ASIDE_NAME = ".earlier"
+"""Folder in that of a run for the files of an earlier one that never ended."""
 _DETECTED_ARRAYS = re.compile(r"keypoints(_\d+)?\.npz")  # one per view
 
 
@@ -85,7 +87,7 @@ class TrackWriter:
     last line counts. What a backward pass corrects is kept as it was in forward.jsonl. Leaving the block well leaves
     one line per frame and writes track.npz from them. Leaving it by an exception (Ctrl-C, a full disk) keeps the lines,
     and writes track.npz from them where the disk allows; an error (not Ctrl-C, after which a run is resumed) before the
-    first frame takes away what the block has made.
+    first frame takes away what the block has made, and brings back what an earlier run that never ended had left.
 
     Where the folder already holds a result (`overwrite`), the new run grows in the sub-folder `unfinished`, and its
     files take the place of the old ones only when the block ends well with at least one frame. Everything else that
@@ -135,7 +137,7 @@ class TrackWriter:
         path = self.folder / JSONL_NAME
         size = 0
         if not resume:
-            self._remove_unfinished()
+            self._set_aside()
         elif path.exists():
             size = self._resume(path)
         self._before = {entry.name for entry in self.folder.iterdir()}
@@ -152,6 +154,8 @@ class TrackWriter:
         if record.frame <= self._last_frame:
             raise ValueError(f"frame: expected more than {self._last_frame}, got {record.frame}")
         self._write(record)
+        if not self._frames:
+            self._drop_aside()
         self._last_frame = record.frame
         self._frames += 1
         self._pending_state = state
@@ -220,10 +224,14 @@ class TrackWriter:
                 self._leave_as_before()
 
     def _leave_as_before(self) -> None:
-        """Take away the files of this run, and the folders that were made for them."""
+        """Take away the files of this run, and the folders that were made for them; bring back those set aside."""
         for name in _result_names(self.folder):
             if name not in self._before:
                 (self.folder / name).unlink(missing_ok=True)
+        if self._aside.exists():
+            for entry in self._aside.iterdir():
+                os.replace(entry, self.folder / entry.name)
+            self._aside.rmdir()
         for folder in self._made:
             folder.rmdir()
 
@@ -256,11 +264,22 @@ class TrackWriter:
         has_result = any((self.out_dir / name).exists() for name in _result_names(self.out_dir))
         return self.out_dir / UNFINISHED_NAME if has_result else self.out_dir
 
-    def _remove_unfinished(self) -> None:
-        """Take away what an earlier run that never ended has left."""
+    @property
+    def _aside(self) -> Path:
+        return self.folder / _ASIDE_NAME
+
+    def _set_aside(self) -> None:
+        """Keep what an earlier run that never ended has left, until this one has a frame."""
+        self._drop_aside()
         with explained_errors(self.folder):
-            for name in _result_names(self.folder):
-                (self.folder / name).unlink(missing_ok=True)
+            left = [name for name in _result_names(self.folder) if (self.folder / name).exists()]
+            for name in left:
+                self._aside.mkdir(exist_ok=True)
+                os.replace(self.folder / name, self._aside / name)
+
+    def _drop_aside(self) -> None:
+        if self._aside.exists():
+            remove_entry(self._aside)
 
     def _resume(self, path: Path) -> int:
         """Find the point to go on from; returns how many bytes of the file stay."""
