@@ -26,6 +26,7 @@ from torchhand.track.proposals import (
     LearnedHands,
     PostureSearch,
     ProposalSource,
+    SinglePictureHands,
     TiltedHands,
     hull_sources,
 )
@@ -241,10 +242,13 @@ def _by_network(
         can_restart=own.moves_joints,
         plate=plate,
     )
+    sources: tuple[ProposalSource, ...] = (hands,)
+    if can_start and own.settings.silhouette.method == "skin":
+        sources += (SinglePictureHands(fitter=fitter),)
     takes_small_steps = isinstance(own.settings.update, UnscentedUpdateSettings)
-    if not (own.moves_joints and takes_small_steps):
-        return (hands,)
-    return hands, TiltedHands(kinematics=fitter.kinematics, camera=fitter.camera)
+    if own.moves_joints and takes_small_steps:
+        sources += (TiltedHands(kinematics=fitter.kinematics, camera=fitter.camera),)
+    return sources
 
 
 def _of_a_rig(

@@ -4,20 +4,18 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from torchhand.files import load_proposal_network
 from torchhand.fit.detect import align_posture
 from torchhand.geometry import Camera
 from torchhand.hand import DOFS, HandKinematics, HandPose, posture
-from torchhand.propose import Silhouette, propose_hands
-from torchhand.track.single import PoseSource
+from torchhand.track.single import PoseSource, learned_poses
 
 _POSTURES = ("open", "flat", "point", "fist")  # laid over a silhouette, palm and back
 _OF_EACH = 3  # placements of a posture
-_OF_NETWORK = 8  # hypotheses of each silhouette
 
 
 def pose_sources(kinematics: HandKinematics) -> tuple[PoseSource, ...]:
     """All that there are, in the order in which they are asked."""
+    by_network = learned_poses(kinematics)
 
     def by_named_postures(
         mask: Bool[Tensor, "height width"], image: Tensor | None, camera: Camera, shape: Float[Tensor, "shape"]
@@ -36,11 +34,7 @@ def pose_sources(kinematics: HandKinematics) -> tuple[PoseSource, ...]:
     def learned(
         mask: Bool[Tensor, "height width"], image: Tensor | None, camera: Camera, shape: Float[Tensor, "shape"]
     ) -> HandPose:
-        if camera.kind != "pinhole" or not bool(mask.any()):
-            return by_named_postures(mask, image, camera, shape)
-        seen = Silhouette(mask=mask, camera=camera, image=image)
-        return propose_hands(
-            load_proposal_network(device=shape.device), (seen,), kinematics, shape, count=_OF_NETWORK
-        ).pose[0]
+        can_propose = camera.kind == "pinhole" and bool(mask.any())
+        return (by_network if can_propose else by_named_postures)(mask, image, camera, shape)
 
     return (learned,)

@@ -6,6 +6,7 @@ from torchhand.track.proposals.keypoints import KeypointHand, KeypointStart
 from torchhand.track.proposals.learned import LearnedHands
 from torchhand.track.proposals.posture_search import PostureSearch
 from torchhand.track.proposals.protocol import OCCASIONS, Occasion, Proposals, ProposalSource, Proposed
+from torchhand.track.proposals.single_picture import SinglePictureHands
 from torchhand.track.proposals.tilted import TiltedHands, tilted_hands
 
 __all__ = [
@@ -19,6 +20,7 @@ __all__ = [
     "ProposalSource",
     "Proposals",
     "Proposed",
+    "SinglePictureHands",
     "TiltedHands",
     "hull_sources",
     "tilted_hands",

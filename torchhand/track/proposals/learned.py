@@ -1,5 +1,6 @@
 """One camera: hands in any posture that a trained network proposes for the silhouette, registered on it."""
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -10,27 +11,52 @@ from torch import Tensor
 
 from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
-from torchhand.fit.detect import ContourFitter, NoStart, segment_hand, start_at_pose
+from torchhand.fit.detect import ContourFitter, NoStart, Start, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import cosine_between
 from torchhand.hand import HandPose
-from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
+from torchhand.image import BackgroundPlate, SilhouetteSettings, clean, fill_holes, solidity, touching
 from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import fitter_of
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
-from torchhand.track.scene import Candidate, Scene, hand_end
+from torchhand.track.scene import Candidate, Scene, View, hand_end
+from torchhand.track.single import evidence_for, hand_odds
+from torchhand.view import HandProjector
 
 _MIN_AREA = 0.004  # share of the picture that a silhouette fills at least
 _MAX_SOLIDITY = 0.9
 """Area of a silhouette over that of its convex hull, beyond which it is no hand unless one is followed: some fist
 explains every oval, so that faces would be hands. Ovals on necks have 0.93; nine of ten photographs of hands in any
 posture, with their forearms, have less than 0.89, closed fists have more."""
-_MIN_OVERLAP = 0.9  # of the first hand with the silhouette by its colours
 _STARTS = 2  # registered hands whose colours are learned in the first picture
+_MIN_OVERLAP, _MIN_EDGES = 0.85, 0.7
+"""Overlap of the first hand with the silhouette by its colours, and share of its contour on edges, at least."""
+_FALSE = 0.02
+"""Share of the pictures without a hand by which `HandOdds` was fitted whose log odds a first hand has to have."""
+_FITS, _FALSE_THAT_FITS = 0.93, 0.05
+"""The same of a hand whose overlap and edges are so large."""
+_PATIENCE = 10  # frames without a hand after which such a hand is believed whatever the odds
 _TURNED = 0.5  # cosine of the angle between hands of different directions at most
-_MIN_FOUND = 0.8  # share of the first hand's contour on edges
 _RESTARTS = 3  # registered hands that a followed one is compared with
+
+
+@dataclass(frozen=True, kw_only=True)
+class _NeededOdds:
+    """Logarithms of the odds that a first hand has to have; minus infinity asks nothing."""
+
+    usual: float
+    of_fitting: float
+    """Of a hand that fits the silhouette by its colours well (`_FITS`)."""
+
+    @classmethod
+    def of(cls, scene: Scene, state: TrackerState) -> "_NeededOdds":
+        """None where the user says what the hand is, and of what fits well where long nothing else came."""
+        if scene.masks[0] is not None:
+            return cls(usual=-math.inf, of_fitting=-math.inf)
+        reached = hand_odds().reached
+        is_late = state.searches_in_vain > _PATIENCE
+        return cls(usual=reached[_FALSE], of_fitting=-math.inf if is_late else reached[_FALSE_THAT_FITS])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -72,7 +98,7 @@ class LearnedHands:
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
-        return self._first(found, image)
+        return self._first(found, image, _NeededOdds.of(scene, state))
 
     def _length_px(self, hand: Candidate, shape: Tensor) -> float:
         """Length in the picture of a hand of some proportions at the place of another, held parallel to it."""
@@ -94,18 +120,31 @@ class LearnedHands:
         rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
         return found.rows(order[rank.argsort(stable=True)])
 
-    def _first(self, found: Solutions, image: Tensor) -> Proposals:
+    def _first(self, found: Solutions, image: Tensor, needed: "_NeededOdds") -> Proposals:
         """The first hand with its colours, as it is refitted to the silhouette by these."""
-        hands = []
+        hands, reason = [], "no proposed hand fits the silhouette"
         for index in range(min(_STARTS, len(found.cost))):
             pose = found.pose[index]
             start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
-            if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_FOUND:
+            if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_EDGES:
                 continue
-            fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
-            hands.append(Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance))
-        reason = "" if hands else "no proposed hand fits the silhouette"
-        return Proposals(hands=tuple(hands), reason=reason, has_foreground=True)
+            hand = HandPose.of(start.fit.pose, start.fit.root_reference)
+            least = needed.of_fitting if min(start.overlap, start.fit.found_fraction) >= _FITS else needed.usual
+            if least > -math.inf and (odds := self._odds(start, hand, image)) < least:
+                reason = f"something else is likelier than a hand (log odds {odds:.1f}, {least:.1f} expected)"
+                continue
+            hands.append(Proposed(pose=hand, shape=start.fit.shape, appearance=start.appearance))
+        return Proposals(hands=tuple(hands), reason="" if hands else reason, has_foreground=True)
+
+    def _odds(self, start: Start, hand: HandPose, image: Tensor) -> float:
+        """Logarithm of the odds that a hand is one, by what has the colours that it gives and touches it."""
+        assert isinstance(start.appearance, Appearance)
+        camera, kinematics, shape = self.fitter.camera, self.fitter.kinematics, start.fit.shape
+        model = HandProjector(kinematics, camera, shape).silhouette(hand.dofs, hand.reference)
+        mask = touching(fill_holes(clean(start.appearance.probability(image) > 0.5)), model)
+        scene = Scene(views=(View(image=image, mask=mask),), masks=(mask,), probabilities=(None,), time_s=0.0)
+        told = {"overlap": start.overlap, "edges": start.fit.found_fraction}
+        return hand_odds()(evidence_for(hand, shape, scene, camera, kinematics, **told))
 
     def _mask(self, scene: Scene, image: Tensor, state: TrackerState) -> Bool[Tensor, "height width"]:
         """Silhouette by what is known of the hand's colours."""

@@ -1,8 +1,9 @@
 """Single pictures: the hand in any posture, every picture by itself."""
 
-from torchhand.track.single.evidence import EVIDENCE, HandOdds, counted
+from torchhand.track.single.evidence import EVIDENCE, HandOdds, counted, evidence_for, hand_odds
 from torchhand.track.single.fitter import HandHypothesis, PoseSource, SinglePose, SinglePoseFitter
 from torchhand.track.single.settings import SinglePoseSettings
+from torchhand.track.single.sources import learned_poses
 
 __all__ = [
     "EVIDENCE",
@@ -13,4 +14,7 @@ __all__ = [
     "SinglePoseFitter",
     "SinglePoseSettings",
     "counted",
+    "evidence_for",
+    "hand_odds",
+    "learned_poses",
 ]

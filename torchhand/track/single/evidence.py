@@ -6,8 +6,8 @@ often it is wrong on pictures that it was not fitted to.
 
 import json
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import cv2
@@ -19,7 +19,7 @@ from torch import Tensor
 from torchhand.devices import kept, read_back
 from torchhand.fit.contour import hand_length_px
 from torchhand.geometry import Camera
-from torchhand.hand import HandKinematics
+from torchhand.hand import HandKinematics, HandPose
 from torchhand.image import disc_kernel, erode, mean_skin_likeness
 from torchhand.track.quality import LogisticModel
 from torchhand.track.scene import Scene, seen_posture, seen_presence
@@ -56,6 +56,8 @@ class HandOdds:
     usual: Float[Tensor, "evidence"]
     """Median evidence of right hands. What is better counts as this, for it is no sign of another thing; as does what
     cannot be told."""
+    reached: Mapping[float, float] = field(default_factory=dict[float, float])
+    """Log odds that some shares of the fitted pictures without a hand reach, where they are known."""
 
     @property
     def most(self) -> float:
@@ -81,28 +83,37 @@ def hand_odds() -> HandOdds:
     return HandOdds(
         model=LogisticModel.of_json(table, EVIDENCE),
         usual=torch.tensor([table["usual"][name] for name in EVIDENCE], dtype=torch.float64),
+        reached={float(rate): told["log_odds"] for rate, told in table["fitted"].items()},
     )
 
 
 def evidence_for(
-    hand: Registered, overlap: float, scene: Scene, camera: Camera, kinematics: HandKinematics
+    hand: HandPose,
+    shape: Float[Tensor, "shape"],
+    scene: Scene,
+    camera: Camera,
+    kinematics: HandKinematics,
+    *,
+    overlap: float,
+    edges: float,
 ) -> Float[Tensor, "evidence"]:
     """In the order of EVIDENCE, support left open; NaN where the view or the camera cannot tell it.
 
-    overlap: with the silhouette, forearm cut at the wrist. scene: one view with its silhouette.
+    hand: (), in the camera's frame. scene: one view with its silhouette. overlap: with that, forearm cut at the wrist.
+    edges: share of the hand's contour that is explained.
     """
-    image, pose = scene.views[0].image, hand.pose.normalized()
+    image, pose = scene.views[0].image, hand.normalized()
     told = dict.fromkeys(EVIDENCE, math.nan)
-    told |= {"overlap": _log_odds(overlap), "edges": _log_odds(hand.edges)}
+    told |= {"overlap": _log_odds(overlap), "edges": _log_odds(edges)}
     if camera.kind == "pinhole":
-        presence = seen_presence(scene, camera, kinematics, pose, hand.shape)
-        seen = seen_posture(scene, camera, kinematics, pose, hand.shape)
+        presence = seen_presence(scene, camera, kinematics, pose, shape)
+        seen = seen_posture(scene, camera, kinematics, pose, shape)
         if presence is not None and seen is not None:
             told["presence"] = presence
             told["direction"] = math.log(float(seen.direction_agreement(pose.rotation)) + _LEAST)
             told["sureness"] = -math.log(float(seen.spread))
     if image is not None:
-        model = HandProjector(kinematics, camera, hand.shape).silhouette(hand.pose.dofs, hand.pose.reference)
+        model = HandProjector(kinematics, camera, shape).silhouette(hand.dofs, hand.reference)
         told |= {"outline": _log_odds(outline_rank(image, model)), "skin": mean_skin_likeness(image, model)}
     return torch.tensor(list(told.values()), dtype=torch.float64)
 

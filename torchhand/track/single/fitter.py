@@ -214,7 +214,9 @@ class SinglePoseFitter:
 
     def _weighed(self, work: "_Work", one: _Judged, others: Sequence[_Judged]) -> HandHypothesis:
         """A hand with the evidence for it, beside those on other silhouettes."""
-        evidence = evidence_for(one.hand, one.agreement.overlap, work.scene(one.mask), work.camera, self.kinematics)
+        hand, scene = one.hand, work.scene(one.mask)
+        told = {"overlap": one.agreement.overlap, "edges": hand.edges}
+        evidence = evidence_for(hand.pose, hand.shape, scene, work.camera, self.kinematics, **told)
         if work.mask is None:
             rest = [other.hand for other in others]
             evidence = supported(evidence, one.hand, rest, work.camera, self.kinematics)
