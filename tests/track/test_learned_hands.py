@@ -7,6 +7,8 @@ import pytest
 import torch
 
 from tests.steps import right_hand, run
+from torchhand.geometry import assumed_camera
+from torchhand.study.status import drawn_pictures
 from torchhand.track import DEFAULTS, Tracker
 
 SETTINGS = replace(DEFAULTS["contour"], pose_space="dof26")
@@ -75,3 +77,13 @@ def test_skin_that_is_no_hand_is_none(studio: Any) -> None:
         image = (torch.where(shape[..., None], skin, wall) + noise).round().clamp(0, 255).to(torch.uint8)
         _, estimates = run(Tracker(right_hand(), placed.camera, SETTINGS), [image])
         assert {one.status for one in estimates} <= {"lost", "no_hand"}, name
+
+
+def test_a_portrait_is_no_first_hand_though_one_fits_it() -> None:
+    """A fist on a forearm is laid over a head on its neck; all that the picture says is against it."""
+    [*_, (kind, picture)] = drawn_pictures(2, seed=1)
+    assert kind == "portrait"
+    height, width = picture.shape[:2]
+    _, [estimate] = run(Tracker(right_hand(), assumed_camera(width, height), SETTINGS), [picture])
+    assert estimate.status == "no_hand"
+    assert "something else is likelier than a hand" in estimate.reason

@@ -730,8 +730,9 @@ class Tracker:
     def _compared(
         self, search: _Search, proposals: Proposals, facing: Tensor | None, scene: Scene, state: TrackerState
     ) -> tuple[_Search, bool]:
-        """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all."""
-        has_found = False
+        """The better of the best hand so far and the proposed ones, and whether any of these is a hand at all. What is
+        refused although nothing in it is degraded is left, or no other source would be asked."""
+        has_found, health = False, self.parts.health
         has_foreground = search.has_foreground or proposals.has_foreground
         search = before = replace(search, has_foreground=has_foreground, reason=proposals.reason or search.reason)
         for proposed in proposals.hands:
@@ -739,8 +740,11 @@ class Tracker:
             if candidate is not None and search.best is None and (away := _out_of_reach(candidate, state, scene)):
                 search = replace(search, reason=away)
             elif candidate is not None:
-                search = self._better(search, proposed, candidate, facing)
-                has_found |= self.parts.health.is_found(candidate)
+                is_found = health.is_found(candidate)
+                better = self._better(search, proposed, candidate, facing)
+                is_left = search.best is None and not (is_found or health.is_degraded(candidate, state.usual_score))
+                search = replace(search, reason=better.reason) if is_left else better
+                has_found |= is_found
         return self._from_known_side(search, before, facing, scene, state), has_found
 
     def _from_known_side(
