@@ -10,6 +10,8 @@ from tests.steps import right_hand, run
 from torchhand.geometry import assumed_camera
 from torchhand.study.status import drawn_pictures
 from torchhand.track import DEFAULTS, Tracker
+from torchhand.track.proposals import LearnedHands, Proposals, SinglePictureHands
+from torchhand.track.scene import Health
 
 SETTINGS = replace(DEFAULTS["contour"], pose_space="dof26")
 WITHOUT = replace(SETTINGS, learned_proposals=False)
@@ -87,3 +89,43 @@ def test_a_portrait_is_no_first_hand_though_one_fits_it() -> None:
     _, [estimate] = run(Tracker(right_hand(), assumed_camera(width, height), SETTINGS), [picture])
     assert estimate.status == "no_hand"
     assert "something else is likelier than a hand" in estimate.reason
+
+
+def test_a_hand_beside_something_larger_is_found_as_in_a_single_picture(
+    studio: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A larger oval in the colours of the hand is the likeliest piece, of which nobody makes a hand."""
+    placed = studio.placed(size=0.5, posed="three", view="palm", camera=studio.camera(480, 320))
+    hand = placed.picture(seed=1)
+    y, x = torch.meshgrid(torch.arange(320.0), torch.arange(480.0), indexing="ij")
+    oval = (((x - 80) / 70).square() + ((y - 140) / 98).square() < 1) & ~placed.mask
+    skin = hand[placed.mask].float().mean(0) + 4 * torch.randn(320, 480, 3, generator=torch.Generator().manual_seed(0))
+    picture = torch.where(oval[..., None], skin.round().clamp(0, 255).to(torch.uint8), hand)
+    _, [estimate] = run(Tracker(right_hand(), placed.camera, SETTINGS), [picture])
+    assert estimate.status == "tracked"
+    assert estimate.keypoints_px is not None
+    assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 12  # of 150 for an open hand
+    monkeypatch.setattr(SinglePictureHands, "__call__", _none)
+    _, [estimate] = run(Tracker(right_hand(), placed.camera, SETTINGS), [picture])
+    assert estimate.status == "no_hand"
+
+
+def test_a_hand_that_is_refused_keeps_no_other_source_from_being_asked(
+    studio: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[str] = []
+
+    def noted(source: Any, *_: Any) -> Proposals:
+        asked.append(type(source).__name__)
+        return Proposals()
+
+    monkeypatch.setattr(Health, "is_found", lambda *_: False)
+    for kind in (LearnedHands, SinglePictureHands):
+        monkeypatch.setattr(kind, "__call__", noted)
+    placed = studio.placed(size=0.8)
+    run(Tracker(right_hand(), placed.camera, SETTINGS, shape=placed.shape), [placed.picture(seed=1)])
+    assert asked == ["LearnedHands", "SinglePictureHands"]
+
+
+def _none(*_: Any) -> Proposals:
+    return Proposals()
