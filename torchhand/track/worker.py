@@ -19,6 +19,7 @@ FOLLOWING: tuple[Occasion, ...] = ("always", "detected")
 
 _NEAR: tuple[Occasion, ...] = (*FOLLOWING, "declining", "degraded")
 _WIDE: tuple[Occasion, ...] = (*FOLLOWING, "search")  # what takes more than a second, where the others bring nothing
+_FIRST: tuple[Occasion, ...] = tuple(one for one in OCCASIONS if one != "patient")  # the hand may show itself meanwhile
 _STEP_S = 0.1
 """From one picture to the next on the way to the newest: a hand that moves at half a metre a second, as people's do who
 show something, goes half its breadth in it."""
@@ -98,7 +99,7 @@ class Searcher:
         before = None if search.state is None else restored_state(search.state, self._tracker.device)
         has_started = before is not None and before.has_started
         is_detected = any(view.keypoints is not None for view in frame.views)
-        for occasions in (_NEAR, _WIDE) if has_started or is_detected else (OCCASIONS,):
+        for occasions in (_NEAR, _WIDE) if has_started or is_detected else (_FIRST,):
             state, estimate = self._tracker.step(before, frame.views, frame.time_s, occasions=occasions)
             if estimate.is_new:
                 break

@@ -39,10 +39,10 @@ class Proposals:
     """Whether the scene shows something that may be a hand."""
 
 
-Occasion = Literal["always", "detected", "declining", "degraded", "search"]
+Occasion = Literal["always", "detected", "declining", "degraded", "search", "patient"]
 """When a source is asked: at every frame; where the hand is degraded and a detector tells of one, which takes no longer
 than a frame; where it explains less than it did at best; where it is degraded; where it is degraded and a search is
-due."""
+due; where it is degraded and pictures wait for as long as it takes, as those of a recording do."""
 
 OCCASIONS: tuple[Occasion, ...] = get_args(Occasion)
 

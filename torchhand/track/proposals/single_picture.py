@@ -26,7 +26,7 @@ class SinglePictureHands:
     about each. The first hand brings its colours and its proportions.
     """
 
-    occasion: ClassVar[Occasion] = "degraded"
+    occasion: ClassVar[Occasion] = "patient"
     fitter: ContourFitter
     """How the first hand is fitted; with a pinhole camera, which is the world."""
 
