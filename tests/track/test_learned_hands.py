@@ -11,7 +11,7 @@ from torchhand.geometry import assumed_camera
 from torchhand.study.status import drawn_pictures
 from torchhand.track import DEFAULTS, Tracker
 from torchhand.track.proposals import LearnedHands, Proposals, SinglePictureHands
-from torchhand.track.scene import Health
+from torchhand.track.scene import Health, View
 
 SETTINGS = replace(DEFAULTS["contour"], pose_space="dof26")
 WITHOUT = replace(SETTINGS, learned_proposals=False)
@@ -101,12 +101,16 @@ def test_a_hand_beside_something_larger_is_found_as_in_a_single_picture(
     oval = (((x - 80) / 70).square() + ((y - 140) / 98).square() < 1) & ~placed.mask
     skin = hand[placed.mask].float().mean(0) + 4 * torch.randn(320, 480, 3, generator=torch.Generator().manual_seed(0))
     picture = torch.where(oval[..., None], skin.round().clamp(0, 255).to(torch.uint8), hand)
-    _, [estimate] = run(Tracker(right_hand(), placed.camera, SETTINGS), [picture])
+    tracker = Tracker(right_hand(), placed.camera, SETTINGS)
+    state, estimate = tracker.step(None, [View(image=picture)], 0.0)
+    assert estimate.status == "no_hand"
+    state = replace(state, searches_in_vain=4)
+    _, estimate = tracker.step(state, [View(image=picture)], 1 / 30)
     assert estimate.status == "tracked"
     assert estimate.keypoints_px is not None
     assert float((estimate.keypoints_px[0] - placed.keypoints_px).norm(dim=-1).mean()) < 12  # of 150 for an open hand
-    monkeypatch.setattr(SinglePictureHands, "__call__", _none)
-    _, [estimate] = run(Tracker(right_hand(), placed.camera, SETTINGS), [picture])
+    monkeypatch.setattr(SinglePictureHands, "__call__", lambda *_: Proposals())
+    _, estimate = tracker.step(state, [View(image=picture)], 1 / 30)
     assert estimate.status == "no_hand"
 
 
@@ -125,7 +129,3 @@ def test_a_hand_that_is_refused_keeps_no_other_source_from_being_asked(
     placed = studio.placed(size=0.8)
     run(Tracker(right_hand(), placed.camera, SETTINGS, shape=placed.shape), [placed.picture(seed=1)])
     assert asked == ["LearnedHands", "SinglePictureHands"]
-
-
-def _none(*_: Any) -> Proposals:
-    return Proposals()

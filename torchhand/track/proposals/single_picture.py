@@ -12,7 +12,7 @@ from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, View
 from torchhand.track.single import SinglePoseFitter, SinglePoseSettings, hand_odds, learned_poses
 
-_EVERY = 10  # searches in vain from one such to the next, which takes seconds
+_AT, _EVERY = 5, 10  # searches in vain to the first such, which takes seconds, and from one to the next
 _FALSE = 0.02
 """Share of the pictures without a hand by which `HandOdds` was fitted whose log odds the hand has to have."""
 _MIN_OVERLAP = 0.75  # with the silhouette by the colours that the hand gives
@@ -38,7 +38,7 @@ class SinglePictureHands:
 
     def __call__(self, scene: Scene, state: TrackerState, best: Candidate | None) -> Proposals:
         """At most one hand; none once one was found, nor where the user says what the hand is."""
-        image, is_due = scene.views[0].image, state.is_search_due and state.searches_in_vain % _EVERY == 1
+        image, is_due = scene.views[0].image, state.is_search_due and state.searches_in_vain % _EVERY == _AT
         if image is None or scene.masks[0] is not None or best is not None or state.has_started or not is_due:
             return Proposals()
         known = None if self.fitter.fit_shape else self.fitter.shape
