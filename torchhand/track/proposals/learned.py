@@ -11,6 +11,7 @@ from torch import Tensor
 
 from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
+from torchhand.fit.contour import is_in_picture
 from torchhand.fit.detect import ContourFitter, NoStart, Start, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import cosine_between
@@ -41,6 +42,12 @@ _TURNED = 0.5  # cosine of the angle between hands of different directions at mo
 _RESTARTS = 3  # registered hands that a followed one is compared with
 
 
+def has_wrist_in_picture(fitter: ContourFitter, hands: HandPose) -> Bool[Tensor, "*batch"]:
+    """Whether the wrists of hands, in the frame of the camera, lie in its picture."""
+    frames = fitter.kinematics(hands.dofs, fitter.shape, root_reference=hands.reference)
+    return is_in_picture(fitter.camera.project(frames.keypoints[..., 0, :]), fitter.camera)
+
+
 @dataclass(frozen=True, kw_only=True)
 class _NeededOdds:
     """Logarithms of the odds that a first hand has to have; minus infinity asks nothing."""
@@ -64,7 +71,8 @@ class LearnedHands:
     """Segments the picture, asks the network, registers all that it proposes, and hands on the cheapest.
 
     It is asked where the posture of the start was looked for in vain or leaves something unexplained. The first hand
-    brings its colours, and its proportions where it shows them. A convex silhouette is no hand, as long as none is
+    brings its colours, and its proportions where it shows them; its wrist lies in the picture, for a bare forearm that
+    leaves the picture looks like the palm of a larger hand. A convex silhouette is no hand, as long as none is
     followed.
     """
 
@@ -98,6 +106,8 @@ class LearnedHands:
         if state.has_started:
             hands = tuple(Proposed(pose=found.pose[i]) for i in range(min(_RESTARTS, len(found.cost))))
             return Proposals(hands=hands, has_foreground=True)
+        if scene.masks[0] is None:
+            found = found.rows(has_wrist_in_picture(self.fitter, found.pose).nonzero()[:, 0])
         return self._first(found, image, _NeededOdds.of(scene, state))
 
     def _length_px(self, hand: Candidate, shape: Tensor) -> float:

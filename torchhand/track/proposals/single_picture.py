@@ -8,6 +8,7 @@ from torchhand.fit.detect import ContourFitter, NoStart, start_at_pose
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import fitter_of
+from torchhand.track.proposals.learned import has_wrist_in_picture
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, View
 from torchhand.track.single import SinglePoseFitter, SinglePoseSettings, hand_odds, learned_poses
@@ -47,7 +48,11 @@ class SinglePictureHands:
             return Proposals()
         pose = HandPose.of(found.estimate.pose.to(self.fitter.shape))
         start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
-        if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP:
+        if (
+            not bool(has_wrist_in_picture(self.fitter, pose))
+            or isinstance(start, NoStart)
+            or start.overlap < _MIN_OVERLAP
+        ):
             return Proposals()
         hand = HandPose.of(start.fit.pose, start.fit.root_reference)
         proposed = Proposed(pose=hand, shape=start.fit.shape, appearance=start.appearance)
