@@ -47,12 +47,10 @@ class SinglePictureHands:
         if found.estimate.pose is None:
             return Proposals()
         pose = HandPose.of(found.estimate.pose.to(self.fitter.shape))
+        if not bool(has_wrist_in_picture(self.fitter, pose)):
+            return Proposals()
         start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
-        if (
-            not bool(has_wrist_in_picture(self.fitter, pose))
-            or isinstance(start, NoStart)
-            or start.overlap < _MIN_OVERLAP
-        ):
+        if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP:
             return Proposals()
         hand = HandPose.of(start.fit.pose, start.fit.root_reference)
         proposed = Proposed(pose=hand, shape=start.fit.shape, appearance=start.appearance)
