@@ -91,6 +91,19 @@ def test_a_portrait_is_no_first_hand_though_one_fits_it() -> None:
     assert "something else is likelier than a hand" in estimate.reason
 
 
+def test_a_first_hand_has_its_wrist_in_the_picture_or_next_to_it(studio: Any) -> None:
+    """A forearm that leaves the picture looks like the palm of a larger hand."""
+    placed = studio.placed(size=0.8, posed="point", view="palm", camera=studio.camera(320, 240))
+    wrist, middle = (float(placed.keypoints_px[index, 1]) for index in (0, 9))
+    statuses = []
+    for share in (0.03, 0.3):  # of the way from the wrist to the middle finger's knuckle lies below the picture
+        height = round(wrist + share * (middle - wrist))
+        tracker = Tracker(right_hand(), replace(placed.camera, height=height), SETTINGS, shape=placed.shape)
+        _, [estimate] = run(tracker, [placed.picture(seed=1)[:height].contiguous()])
+        statuses.append(estimate.status)
+    assert statuses == ["tracked", "no_hand"]
+
+
 def test_a_hand_beside_something_larger_is_found_as_in_a_single_picture(
     studio: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:

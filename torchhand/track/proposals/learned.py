@@ -38,14 +38,17 @@ _FALSE = 0.02
 _FITS, _FALSE_THAT_FITS = 0.93, 0.05
 """The same of a hand whose overlap and edges are so large."""
 _PATIENCE = 10  # frames without a hand after which such a hand is believed whatever the odds
+_NEXT_TO_PICTURE = 0.25  # of the way from the wrist to the middle finger's knuckle, in the picture
 _TURNED = 0.5  # cosine of the angle between hands of different directions at most
 _RESTARTS = 3  # registered hands that a followed one is compared with
 
 
 def has_wrist_in_picture(fitter: ContourFitter, hands: HandPose) -> Bool[Tensor, "*batch"]:
-    """Whether the wrists of hands, in the frame of the camera, lie in its picture."""
-    frames = fitter.kinematics(hands.dofs, fitter.shape, root_reference=hands.reference)
-    return is_in_picture(fitter.camera.project(frames.keypoints[..., 0, :]), fitter.camera)
+    """Whether the wrists of hands, in the frame of the camera, lie in its picture, or next to it."""
+    frames, camera = fitter.kinematics(hands.dofs, fitter.shape, root_reference=hands.reference), fitter.camera
+    wrist, middle = camera.project(frames.keypoints[..., (0, 9), :]).unbind(-2)
+    nearer = wrist + _NEXT_TO_PICTURE * (middle - wrist)
+    return is_in_picture(nearer, camera)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +74,9 @@ class LearnedHands:
     """Segments the picture, asks the network, registers all that it proposes, and hands on the cheapest.
 
     It is asked where the posture of the start was looked for in vain or leaves something unexplained. The first hand
-    brings its colours, and its proportions where it shows them; its wrist lies in the picture, for a bare forearm that
-    leaves the picture looks like the palm of a larger hand. A convex silhouette is no hand, as long as none is
-    followed.
+    brings its colours, and its proportions where it shows them; its wrist lies in the picture or next to it, for a
+    bare forearm that leaves the picture looks like the palm of a larger hand. A convex silhouette is no hand, as long
+    as none is followed.
     """
 
     occasion: ClassVar[Occasion] = "degraded"
