@@ -61,7 +61,7 @@ class _NeededOdds:
 
     @classmethod
     def of(cls, scene: Scene, state: TrackerState) -> "_NeededOdds":
-        """None where the user says what the hand is, and of what fits well where long nothing else came."""
+        """Nothing is asked where the user says what the hand is, nor of what fits well where long nothing else came."""
         if scene.masks[0] is not None:
             return cls(usual=-math.inf, of_fitting=-math.inf)
         reached = hand_odds().reached
