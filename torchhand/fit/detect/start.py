@@ -289,6 +289,13 @@ def start_at_cut(mask: Bool[Tensor, "height width"], pose: HandPose, fitter: Con
     return Start(fit=placed, appearance=CutAtKeypoints(), overlap=fitter.overlap(mask, placed))
 
 
+def coloured_at(
+    image: UInt8[Tensor, "height width 3"], appearance: Appearance, model: Bool[Tensor, "height width"]
+) -> Bool[Tensor, "height width"]:
+    """What has the colours of a hand and touches the silhouette of a model of it, without small pieces and holes."""
+    return touching(fill_holes(clean(appearance.probability(image) > 0.5)), model)
+
+
 def _start_in(piece: _Piece, fitter: ContourFitter, appearance: Appearance | None) -> Start | None:
     """The best hand in one piece."""
     best, facing = _best_start(piece, piece.alignments, fitter, appearance, None)
@@ -308,7 +315,7 @@ def _sharpened(image: Tensor, start: Start, fitter: ContourFitter) -> Start:
     assert isinstance(start.appearance, Appearance)
     projector = HandProjector(fitter.kinematics, fitter.camera, start.fit.shape)
     model = projector.silhouette(start.fit.pose, start.fit.root_reference)
-    mask = touching(fill_holes(clean(start.appearance.probability(image) > 0.5)), model)
+    mask = coloured_at(image, start.appearance, model)
     fit = fitter.fitted(mask, start.fit)
     return replace(start, fit=fit, overlap=fitter.overlap(mask, fit))
 

@@ -80,9 +80,7 @@ class KeypointStart:
         start = self._start(image, scene, pose)
         if isinstance(start, NoStart):
             return Proposals(reason=start.reason, has_foreground=start.has_foreground)
-        fitted = HandPose.of(start.fit.pose, start.fit.root_reference)
-        proposed = Proposed(pose=fitted, shape=start.fit.shape, appearance=start.appearance)
-        return Proposals(hands=(proposed,), has_foreground=True)
+        return Proposals(hands=(Proposed.of_start(start),), has_foreground=True)
 
     def _cut_anew(self, image: Tensor, scene: Scene, state: TrackerState) -> Proposals:
         """A hand that was followed by its colours, cut out about the points."""

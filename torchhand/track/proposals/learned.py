@@ -12,11 +12,11 @@ from torch import Tensor
 from torchhand.files import load_proposal_network
 from torchhand.fit import Appearance, Solutions
 from torchhand.fit.contour import is_in_picture
-from torchhand.fit.detect import ContourFitter, NoStart, Start, segment_hand, start_at_pose
+from torchhand.fit.detect import ContourFitter, NoStart, Start, coloured_at, segment_hand, start_at_pose
 from torchhand.fit.proposals import ProposalRegistration
 from torchhand.geometry import cosine_between
 from torchhand.hand import HandPose
-from torchhand.image import BackgroundPlate, SilhouetteSettings, clean, fill_holes, solidity, touching
+from torchhand.image import BackgroundPlate, SilhouetteSettings, solidity
 from torchhand.propose import Silhouette, propose_hands
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import fitter_of
@@ -33,9 +33,9 @@ posture, with their forearms, have less than 0.89, closed fists have more."""
 _STARTS = 2  # registered hands whose colours are learned in the first picture
 _MIN_OVERLAP, _MIN_EDGES = 0.85, 0.7
 """Overlap of the first hand with the silhouette by its colours, and share of its contour on edges, at least."""
-_FALSE = 0.02
+FALSE_STARTS = 0.02
 """Share of the pictures without a hand by which `HandOdds` was fitted whose log odds a first hand has to have."""
-_FITS, _FALSE_THAT_FITS = 0.93, 0.05
+_FITS, _FALSE_STARTS_THAT_FIT = 0.93, 0.05
 """The same of a hand whose overlap and edges are so large."""
 _PATIENCE = 10  # frames without a hand after which such a hand is believed whatever the odds
 _NEXT_TO_PICTURE = 0.25  # of the way from the wrist to the middle finger's knuckle, in the picture
@@ -66,7 +66,7 @@ class _NeededOdds:
             return cls(usual=-math.inf, of_fitting=-math.inf)
         reached = hand_odds().reached
         is_late = state.searches_in_vain > _PATIENCE
-        return cls(usual=reached[_FALSE], of_fitting=-math.inf if is_late else reached[_FALSE_THAT_FITS])
+        return cls(usual=reached[FALSE_STARTS], of_fitting=-math.inf if is_late else reached[_FALSE_STARTS_THAT_FIT])
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -133,7 +133,7 @@ class LearnedHands:
         rank[is_turned & (is_turned.cumsum(0) == 1)] = 0
         return found.rows(order[rank.argsort(stable=True)])
 
-    def _first(self, found: Solutions, image: Tensor, needed: "_NeededOdds") -> Proposals:
+    def _first(self, found: Solutions, image: Tensor, needed: _NeededOdds) -> Proposals:
         """The first hand with its colours, as it is refitted to the silhouette by these."""
         hands, reason = [], "no proposed hand fits the silhouette"
         for index in range(min(_STARTS, len(found.cost))):
@@ -141,12 +141,12 @@ class LearnedHands:
             start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
             if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP or start.fit.found_fraction < _MIN_EDGES:
                 continue
-            hand = HandPose.of(start.fit.pose, start.fit.root_reference)
+            hand = Proposed.of_start(start)
             least = needed.of_fitting if min(start.overlap, start.fit.found_fraction) >= _FITS else needed.usual
-            if least > -math.inf and (odds := self._odds(start, hand, image)) < least:
+            if least > -math.inf and (odds := self._odds(start, hand.pose, image)) < least:
                 reason = f"something else is likelier than a hand (log odds {odds:.1f}, {least:.1f} expected)"
                 continue
-            hands.append(Proposed(pose=hand, shape=start.fit.shape, appearance=start.appearance))
+            hands.append(hand)
         return Proposals(hands=tuple(hands), reason="" if hands else reason, has_foreground=True)
 
     def _odds(self, start: Start, hand: HandPose, image: Tensor) -> float:
@@ -154,7 +154,7 @@ class LearnedHands:
         assert isinstance(start.appearance, Appearance)
         camera, kinematics, shape = self.fitter.camera, self.fitter.kinematics, start.fit.shape
         model = HandProjector(kinematics, camera, shape).silhouette(hand.dofs, hand.reference)
-        mask = touching(fill_holes(clean(start.appearance.probability(image) > 0.5)), model)
+        mask = coloured_at(image, start.appearance, model)
         scene = Scene(views=(View(image=image, mask=mask),), masks=(mask,), probabilities=(None,), time_s=0.0)
         told = {"overlap": start.overlap, "edges": start.fit.found_fraction}
         return hand_odds()(evidence_for(hand, shape, scene, camera, kinematics, **told))

@@ -7,7 +7,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from torchhand.fit import Appearance
-from torchhand.fit.detect import CutAtKeypoints
+from torchhand.fit.detect import CutAtKeypoints, Start
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.scene import Candidate, Scene
@@ -26,6 +26,12 @@ class Proposed:
     """Proportions that were fitted together with the pose; None where the known ones were used."""
     appearance: Appearance | CutAtKeypoints | None = None
     """Appearance of the hand, where that was learned with it."""
+
+    @classmethod
+    def of_start(cls, start: Start) -> "Proposed":
+        """A first hand, with its proportions and its appearance."""
+        pose = HandPose.of(start.fit.pose, start.fit.root_reference)
+        return cls(pose=pose, shape=start.fit.shape, appearance=start.appearance)
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,14 +8,12 @@ from torchhand.fit.detect import ContourFitter, NoStart, start_at_pose
 from torchhand.hand import HandPose
 from torchhand.track.knowledge import TrackerState
 from torchhand.track.proposals.keypoints import fitter_of
-from torchhand.track.proposals.learned import has_wrist_in_picture
+from torchhand.track.proposals.learned import FALSE_STARTS, has_wrist_in_picture
 from torchhand.track.proposals.protocol import Occasion, Proposals, Proposed
 from torchhand.track.scene import Candidate, Scene, View
 from torchhand.track.single import SinglePoseFitter, SinglePoseSettings, hand_odds, learned_poses
 
 _AT, _EVERY = 5, 10  # searches in vain to the first such, which takes seconds, and from one to the next
-_FALSE = 0.02
-"""Share of the pictures without a hand by which `HandOdds` was fitted whose log odds the hand has to have."""
 _MIN_OVERLAP = 0.75  # with the silhouette by the colours that the hand gives
 
 
@@ -33,7 +31,7 @@ class SinglePictureHands:
 
     @cached_property
     def _single(self) -> SinglePoseFitter:
-        settings = SinglePoseSettings(alone_odds=hand_odds().reached[_FALSE])
+        settings = SinglePoseSettings(alone_odds=hand_odds().reached[FALSE_STARTS])
         sources = (learned_poses(self.fitter.kinematics),)
         return SinglePoseFitter(self.fitter.kinematics, settings, sources=sources)
 
@@ -52,6 +50,4 @@ class SinglePictureHands:
         start = start_at_pose(image, pose, fitter_of(pose, self.fitter))
         if isinstance(start, NoStart) or start.overlap < _MIN_OVERLAP:
             return Proposals()
-        hand = HandPose.of(start.fit.pose, start.fit.root_reference)
-        proposed = Proposed(pose=hand, shape=start.fit.shape, appearance=start.appearance)
-        return Proposals(hands=(proposed,), has_foreground=True)
+        return Proposals(hands=(Proposed.of_start(start),), has_foreground=True)
